@@ -1,4 +1,4 @@
-"""What every test may ask for; real-time tests and the order of two processes are in support/real_time.py."""
+"""What every test may ask for."""
 
 import signal
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 
-pytest_plugins = ["tests.support.real_time"]
+pytest_plugins = ["tests.support.real_time", "tests.support.time_spent"]
 
 # Properties hold whatever else the machine does: no example has a deadline on the wall clock. No change is
 # judged by chance: a test has the same examples in every run; `--hypothesis-profile=search` draws others.

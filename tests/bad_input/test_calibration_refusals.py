@@ -20,7 +20,7 @@ from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from tests.faults.rig import settings_of
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("pictures are drawn for calibrations")
 
 MS = 1_000_000
 HELD_M = 1e-3  # what leakage past shut valves, and the servo against it, move the tool within a second

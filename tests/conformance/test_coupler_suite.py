@@ -1,4 +1,4 @@
-"""The coupler's suite: our own coupler passes every case, and every broken one is caught by its own."""
+"""The coupler's suite: every broken coupler is caught by its own case, and what a run leaves behind."""
 
 import json
 from pathlib import Path
@@ -16,14 +16,6 @@ from tests.conformance.mutants.coupler import MUTANTS, Mutant
 
 CONTROL = 601
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("clock")]
-
-
-def test_our_own_coupler_passes_every_case() -> None:
-    with ThreadedCoupler() as coupler:
-        summary = run_coupler("127.0.0.1", coupler.port, outputs=True)
-    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not CaseOutcome.PASS]
-    assert bad == []
-    assert len(summary.results) == len(coupler_cases()) >= 70
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")

@@ -1,4 +1,4 @@
-"""The suite against our own controller and plant as processes on real sockets: every case passes."""
+"""The suite against our own controller, in simulated time and as a process: every case passes."""
 
 import json
 import selectors
@@ -11,13 +11,17 @@ from typing import Any
 
 import pytest
 
+from conformance.case import CaseOutcome
 from conformance.outcome import GOOD
 from conformance.parts import OptionalPart
 from conformance.runner import reference_cases, run_reference
 from foundation.secret_source import key_from_file
+from tests.conformance.controllers import ControllerUnderTest
 from tests.support.paths import CONFIGS, ROOT
 
 START_S = 90.0
+# Cases about authentication; test_key_suite asks them.
+WITH_A_KEY = set(range(701, 741)) - {722}
 
 
 @contextmanager
@@ -37,6 +41,18 @@ def service(module: str, *overrides: str) -> Iterator[dict[str, Any]]:
         process.terminate()
         assert process.wait(10.0) == 0
         process.stdout.close()
+
+
+@pytest.mark.slow("every case of the suite")
+@pytest.mark.usefixtures("network")
+def test_our_own_controller_passes_every_case_in_simulated_time() -> None:
+    numbers = [case.number for case in reference_cases() if case.number not in WITH_A_KEY]
+    with ControllerUnderTest() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
+    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not CaseOutcome.PASS]
+    assert bad == []
+    assert len(summary.results) == len(numbers)
+    assert summary.passed
 
 
 @pytest.mark.experiment

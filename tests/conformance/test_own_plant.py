@@ -1,10 +1,23 @@
-"""The coupler's suite against our own plant as a process on real sockets: every case passes."""
+"""The coupler's suite against our own coupler, in a thread and as a process: every case passes."""
 
 import pytest
 
+from conformance.case import CaseOutcome
 from conformance.outcome import GOOD
-from conformance.runner import run_coupler
+from conformance.runner import coupler_cases, run_coupler
+from tests.conformance.couplers import ThreadedCoupler
 from tests.conformance.test_own_controller import service
+
+
+@pytest.mark.slow("every case of the suite")
+@pytest.mark.realtime
+@pytest.mark.usefixtures("clock")
+def test_our_own_coupler_passes_every_case() -> None:
+    with ThreadedCoupler() as coupler:
+        summary = run_coupler("127.0.0.1", coupler.port, outputs=True)
+    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not CaseOutcome.PASS]
+    assert bad == []
+    assert len(summary.results) == len(coupler_cases()) >= 70
 
 
 @pytest.mark.experiment

@@ -8,7 +8,7 @@ import pytest
 from conformance.runner import reference_cases
 from tests.conformance.mutant_report import SOURCES, BrokenController, verdict
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("the suite runs once for every broken controller")
 
 MEANT = {
     source: [broken for broken in import_module(source).MUTANTS if broken.case]

@@ -18,7 +18,7 @@ from protocol.reference_messages import ReferencePose
 from testbed.lockstep.core_loop import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow("many stops on the emulated plant"), pytest.mark.timeout(600)]
 
 STEPS_M = ((0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3), (0.0, 0.0, -0.3))
 SLOW_S, FAST_S = 12.0, 3.0  # for such a step

@@ -23,7 +23,7 @@ from protocol.reference_messages import ReferencePath, ReferencePose
 from testbed.lockstep.core_loop import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("motions of the emulated plant, to rest")
 
 STATIC_ERROR_MRAD = 0.3
 HOLD_S = 4.0

@@ -15,7 +15,7 @@ from testbed.experiments.positioning.corrected_run import settings_of
 from testbed.lockstep.core_loop import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("drawn machines lower loads for minutes of arm time")
 
 OUT_M = (0.95, 0.1, -0.14)  # from the start pose: the lift comes down by 39°, the tilt goes up by 50°
 DRAWN = {

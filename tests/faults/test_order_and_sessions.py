@@ -15,7 +15,7 @@ from testbed.lockstep.world import CONTROLLER_CLOCK_NS
 from tests.faults.registers import assert_driving, assert_shut
 from tests.faults.rig import CLOSING_NS, MS, FaultRig
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole worlds in lockstep")
 
 SESSION_END_S = 0.5 + 0.7  # the link's timeout, then the ramp
 

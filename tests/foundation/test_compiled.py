@@ -11,7 +11,7 @@ import pytest
 
 from foundation.compiled import KEYS_KEPT, OUR_PACKAGES, sources, sources_key
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("new interpreters compile kernels")
 
 ROOT = Path(__file__).parents[2]
 

@@ -1,5 +1,7 @@
 """The house keeps its measures: no circle between rooms, no crowded folder, few long or wide functions."""
 
+import re
+
 import pytest
 
 from tests.house import measures
@@ -36,3 +38,11 @@ def test_no_function_is_long_and_only_a_named_kernel_takes_many_parameters(
     wide = {named.place.split()[-1] for named in measures.many_parameters(every)}
     assert long == set()
     assert wide == {"booked_steps"}, "the inner loop of the ledger"
+
+
+def test_every_test_that_is_marked_slow_says_why() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in (measures.ROOT / "tests").rglob("test_*.py")}
+    marks = {path: re.findall(r"pytest\.mark\.slow\b(.*)", text) for path, text in texts.items()}
+    assert any(marks.values())
+    unsaid = [path for path, found in marks.items() for rest in found if not re.match(r"\([\"']\w+", rest)]
+    assert unsaid == []

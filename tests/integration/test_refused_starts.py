@@ -121,8 +121,13 @@ def test_a_key_that_is_missing_is_named_by_both_ends(capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize("service", SERVICES)
-def test_a_missing_configuration_directory_is_named(service: str) -> None:
-    ended = run_service(service, "--config-dir", "no-such-directory")
+def test_a_missing_configuration_directory_is_named(service: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert MAINS[service](["--config-dir", "no-such-directory"]) == 2
+    assert "configuration.unreadable" in one_line(capsys.readouterr().err)
+
+
+def test_a_service_is_a_program() -> None:
+    ended = run_service("controller", "--config-dir", "no-such-directory")
     assert ended.returncode == 2
     assert "configuration.unreadable" in one_line(ended.stderr)
 

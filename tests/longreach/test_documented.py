@@ -11,7 +11,7 @@ import pytest
 from tests.support.pages import page
 from tests.support.paths import ROOT
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow("examples run as they stand"), pytest.mark.timeout(600)]
 
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
 README = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8"))

@@ -10,7 +10,7 @@ from plant_emulator.shell.recording import read_truth
 from protocol.errors import RequestRefused
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("a run is recorded")
 
 
 @pytest.fixture(scope="module")

@@ -159,7 +159,7 @@ def test_asked_for_by_name_a_broken_one_says_why(broken: Path) -> None:
     assert catalogue.catalogue()["sweep"] == catalogue.OURS["sweep"]
 
 
-@pytest.mark.long
+@pytest.mark.slow("pip installs an extension")
 def test_lockstep_runs_its_program_under_its_disturbance(broken: Path) -> None:
     (broken / "other_crane-1.0.dist-info" / "entry_points.txt").write_text(
         "[longreach.programs]\nx = broken_crane:X\n"
@@ -237,7 +237,7 @@ class Worn(OwnFault):
 
 
 async def test_the_api_serves_its_program_and_the_console_is_told(site: Path) -> None:
-    async with bench(link_timeout_ms=30_000) as made:
+    async with bench() as made:
         served = create_app(made.station, made.operations, installed_programs.every_program())
         made.client = httpx.AsyncClient(transport=httpx.ASGITransport(app=served), base_url="http://vision")
         async with made.client:

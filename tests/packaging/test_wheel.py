@@ -14,7 +14,7 @@ from foundation.command_options import shipped_configs
 from testbed.cli.main import app
 from tests.support.paths import CONFIGS, ROOT
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("a wheel is built, and commands run from it")
 
 
 @pytest.fixture(scope="module")

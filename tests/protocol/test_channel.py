@@ -1,6 +1,6 @@
 """Order and age of arrival, against a naive oracle that remembers everything."""
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.channel import (
@@ -42,7 +42,6 @@ def oracle(start: int, arrivals: list[int]) -> tuple[list[Arrival], int]:
     return verdicts, len(lost)
 
 
-@settings(max_examples=400, deadline=None)
 @given(
     st.sampled_from([0, 1, 1000, SEQUENCE_MODULUS - 1, SEQUENCE_MODULUS - 40, SEQUENCE_MODULUS // 2]),
     st.lists(

@@ -1,4 +1,4 @@
-"""The plugin of the real-time tests, on projects of its own: order, second try, count, exit status."""
+"""The plugins of the suite, on projects of their own: order, second try and its limit, time by folder."""
 
 import os
 import subprocess
@@ -9,36 +9,17 @@ import pytest
 
 from tests.support.paths import ROOT
 
-CONFTEST = "pytest_plugins = ['tests.support.real_time']\n"
-OPTIONS = "[pytest]\nmarkers =\n    realtime: x\n    long: x\n"
-ORDERED = """
-import os, time, pathlib, pytest
-HERE = pathlib.Path(__file__).parent
-def note(kind):
-    with open(HERE / "notes", "a") as notes:
-        print(kind, os.getpid(), time.monotonic(), file=notes)
-@pytest.mark.realtime("processes")
-@pytest.mark.parametrize("i", range(3))
-def test_service(i):
-    note("begin"); time.sleep(0.02); note("end")
-@pytest.mark.realtime
-@pytest.mark.parametrize("i", range(3))
-def test_socket(i):
-    note("socket")
-@pytest.mark.parametrize("i", range(6))
-def test_pure(i):
-    time.sleep(0.05); note("pure")
-"""
+CONFTEST = "pytest_plugins = ['tests.support.real_time', 'tests.support.time_spent']\n"
+OPTIONS = "[pytest]\nmarkers =\n    realtime: x\n    slow: x\n"
 FLAKY = """
 import pathlib, pytest
 TRIES = pathlib.Path(__file__).with_suffix(".tries")
-@pytest.fixture(scope="module")
-def tries():
-    count = int(TRIES.read_text()) + 1 if TRIES.exists() else 1
-    TRIES.write_text(str(count))
-    return count
 {mark}
-def test_flaky(tries):
+@pytest.mark.parametrize("which", range({count}))
+def test_flaky(which):
+    path = TRIES.with_suffix(f".{{which}}")
+    tries = int(path.read_text()) + 1 if path.exists() else 1
+    path.write_text(str(tries))
     assert tries > {wanted}, "too early"
 """
 LEAKY = """
@@ -57,7 +38,10 @@ def test_leaky():
         thread.join()
         assert False, "too early"
 """
+PASSES = "import pytest\n{mark}\ndef test_it(): print('{what}')\n"
 MARKED = "@pytest.mark.realtime"
+PLUGINS = ("-p", "no:cacheprovider", "-p", "xdist", "-p", "pytest_rerunfailures", "--rerun-show-tracebacks")
+DISTRIBUTED = ("-n", "2", "--dist", "loadfile", "--no-loadscope-reorder")
 
 
 def run(folder: Path, *arguments: str, **files: str) -> tuple[int, list[str]]:
@@ -69,67 +53,66 @@ def run(folder: Path, *arguments: str, **files: str) -> tuple[int, list[str]]:
     for name in ("PYTEST_ADDOPTS", "PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT"):
         environment.pop(name, None)
     environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "xdist", *arguments]
+    command = [sys.executable, "-m", "pytest", *PLUGINS, *arguments]
     ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=90)
     return ended.returncode, ended.stdout.splitlines()
 
 
-@pytest.mark.parametrize("processes", [(), ("-n", "2")], ids=["one", "two"])
-def test_a_real_time_test_is_retried_once_with_new_fixtures_and_counted(
-    processes: tuple[str, ...], tmp_path: Path
+@pytest.mark.parametrize(("processes", "retried", "failed"), [((), 3, 0), (DISTRIBUTED, 4, 1)])
+def test_tests_in_real_time_are_retried_once_and_named_and_more_than_three_fail_a_run(
+    processes: tuple[str, ...], retried: int, failed: int, tmp_path: Path
 ) -> None:
-    status, lines = run(tmp_path, *processes, test_it=FLAKY.format(mark=MARKED, wanted=1))
-    assert status == 0
-    assert "1 passed, 1 retried" in lines[-1]
-    assert any("1 retried: test_it.py::test_flaky" in line for line in lines)
+    status, lines = run(tmp_path, *processes, test_it=FLAKY.format(mark=MARKED, count=retried, wanted=1))
+    assert f"{retried} passed, {retried} rerun" in lines[-1]
+    assert any(f"{retried} retried, at most 3 may be: test_it.py::test_flaky[0], " in line for line in lines)
     assert any("too early" in line for line in lines), "what failed is printed"
+    assert status == failed
 
 
 def test_what_the_first_try_left_open_is_not_the_second_ones_fault(tmp_path: Path) -> None:
     status, lines = run(tmp_path, "-W", "error", test_it=LEAKY)
     assert status == 0, lines
-    assert "1 passed, 1 retried" in lines[-1]
+    assert "1 passed, 2 rerun" in lines[-1], "the call and, as the thread failed, what follows it"
+    assert any("1 retried" in line for line in lines)
 
 
 def test_what_fails_twice_has_failed(tmp_path: Path) -> None:
-    status, lines = run(tmp_path, test_it=FLAKY.format(mark=MARKED, wanted=2))
+    status, lines = run(tmp_path, test_it=FLAKY.format(mark=MARKED, count=1, wanted=2))
     assert status == 1
-    assert "1 failed, 1 retried" in lines[-1]
-    assert (tmp_path / "test_it.tries").read_text() == "2"
+    assert "1 failed, 1 rerun" in lines[-1]
+    assert (tmp_path / "test_it.0").read_text() == "2"
 
 
 def test_a_test_without_the_mark_is_never_retried(tmp_path: Path) -> None:
-    status, lines = run(tmp_path, test_it=FLAKY.format(mark="", wanted=1))
+    status, lines = run(tmp_path, test_it=FLAKY.format(mark="", count=1, wanted=1))
     assert status == 1
     assert "1 failed" in lines[-1]
-    assert "retried" not in lines[-1]
-    assert (tmp_path / "test_it.tries").read_text() == "1"
+    assert "rerun" not in lines[-1]
+    assert (tmp_path / "test_it.0").read_text() == "1"
 
 
-def test_real_time_tests_run_after_all_others_and_those_with_services_one_at_a_time(tmp_path: Path) -> None:
-    status, lines = run(tmp_path, "-n", "2", test_a=ORDERED, test_b=ORDERED, test_c=ORDERED)
+def test_what_is_slow_is_begun_first_and_real_time_last(tmp_path: Path) -> None:
+    kinds = ("realtime", "plain", "slow")
+    marks = (MARKED, "", "@pytest.mark.slow('x')")
+    files = {
+        f"test_{i}": PASSES.format(mark=mark, what=kind)
+        for i, (kind, mark) in enumerate(zip(kinds, marks, strict=True))
+    }
+    status, lines = run(tmp_path, *DISTRIBUTED, "-n", "1", "-rP", **files)
     assert status == 0
-    assert "36 passed" in lines[-1]
-    notes = [line.split() for line in (tmp_path / "notes").read_text().splitlines()]
-    notes.sort(key=lambda note: float(note[2]))
-    assert len({process for kind, process, _ in notes if kind == "pure"}) == 2
-    services = [(kind, process) for kind, process, _ in notes if kind in ("begin", "end")]
-    assert [kind for kind, _ in services] == ["begin", "end"] * 9
-    assert len({process for _, process in services}) == 1
-    # Each process keeps two tests until it knows what comes next: they may end beside the first real ones.
-    first = next(index for index, (kind, _, _) in enumerate(notes) if kind != "pure")
-    assert first >= 18 - 4
+    assert [line for line in lines if line in kinds] == ["slow", "plain", "realtime"]
 
 
-def test_what_is_long_is_begun_first(tmp_path: Path) -> None:
-    long = "import pytest\n@pytest.mark.long\ndef test_long(): print('long')\n"
-    short = "def test_a(): print('short')\ndef test_b(): print('short')\n"
-    status, lines = run(tmp_path, "-n", "1", "-rP", test_a=short, test_b=short, test_c=long)
-    assert status == 0
-    assert [line for line in lines if line in ("long", "short")] == ["long", *["short"] * 4]
-
-
-def test_only_real_time_tests_run_too(tmp_path: Path) -> None:
-    status, lines = run(tmp_path, "-n", "2", "-m", "realtime", test_a=ORDERED, test_b=ORDERED)
-    assert status == 0
-    assert "12 passed" in lines[-1]
+def test_a_run_ends_with_time_by_folder_and_names_what_is_slow_without_a_reason(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    slept = "import time, pytest\n{mark}\ndef test_it(): time.sleep(0.11)\n"
+    files = {
+        "conftest": CONFTEST + "from tests.support import time_spent\ntime_spent.SLOW_S = 0.1\n",
+        "room/test_said": slept.format(mark="@pytest.mark.slow('x')"),
+        "test_unsaid": slept.format(mark=""),
+    }
+    status, lines = run(tmp_path, **files)
+    assert status == 0, "nobody fails by the clock"
+    assert any(line.split() == ["0.1", "1", "room"] for line in lines), lines
+    unsaid = lines[next(i for i, line in enumerate(lines) if "without the mark slow" in line) + 1 :]
+    assert [line.split()[1] for line in unsaid if "::" in line] == ["test_unsaid.py::test_it"]

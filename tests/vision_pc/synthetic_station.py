@@ -186,7 +186,7 @@ def quick(settings: ProgramSettings) -> ProgramSettings:
 async def bench(
     seed: int = 0,
     record_dir: Path | None = None,
-    link_timeout_ms: int = 500,
+    link_timeout_ms: int = 30_000,  # one thread runs both ends, and this machine may be busy
     tries_valves: bool = False,
     **truth: Any,
 ) -> AsyncIterator[Bench]:

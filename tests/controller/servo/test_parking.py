@@ -62,8 +62,7 @@ def test_it_comes_to_rest_inside_its_band_with_the_valve_shut(known: float, erro
     assert not rest.spools[-last:].any()
 
 
-@pytest.mark.parametrize("half_play", [0.0, 6e-5])
-@pytest.mark.parametrize("creep", [-5e-6, -1e-6, 2e-6])
+@pytest.mark.parametrize(("creep", "half_play"), [(-5e-6, 0.0), (-1e-6, 6e-5), (2e-6, 6e-5)])
 def test_a_parked_joint_that_creeps_is_nudged_within_the_play_of_its_encoder(
     creep: float, half_play: float
 ) -> None:

@@ -22,7 +22,7 @@ from protocol.errors import ConfigurationError
 from tests.foundation.rest.serving import serving
 from tests.support.log_lines import HeardLog
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("services start with and without tokens")
 
 LOOK, OPERATE, NOBODY = bytes(range(32)), bytes(range(100, 132)), bytes(32)
 ACCESS = Access((), {Role.LOOK: LOOK, Role.OPERATE: OPERATE}, frozenset({"/stop"}))

@@ -39,9 +39,9 @@ def client(frames: FrameServer, port: int, count: int = 1) -> socket.socket:
 
 
 def wait_until(condition: object) -> None:
-    """Return when ``condition()`` holds; fail after five seconds."""
+    """Return when ``condition()`` holds; fail after a minute."""
     assert callable(condition)
-    limit = time.monotonic() + 5.0
+    limit = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < limit
         time.sleep(0.005)

@@ -193,7 +193,7 @@ def commands(found: Any, path: str) -> dict[str, Any]:
     return {key: leaf for name, one in inner.items() for key, leaf in commands(one, f"{path} {name}").items()}
 
 
-@pytest.mark.long
+@pytest.mark.slow("a whole demonstration in lockstep")
 def test_every_command_that_reads_a_configuration_takes_an_arm() -> None:
     found = commands(typer.main.get_command(app), "longreach")
     reads = {path: command for path, command in found.items() if "config_dir" in names(command)}

@@ -17,7 +17,7 @@ from tests.vision_pc.config.test_camera_files import ZED
 from tests.vision_pc.perception.test_pair_check import SIZE, pair_with
 from vision_pc.config.camera_files.reading import read_calibration
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("pictures are drawn for calibrations")
 
 BOARD = ["--columns", "9", "--rows", "6", "--square-mm", "60"]
 _HALF = (

@@ -26,7 +26,7 @@ from testbed.campaigns.provenance import PACKAGES, imported_sources
 from testbed.campaigns.row_file import RowFile, cell
 from testbed.campaigns.workforce import REACH_S
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("campaigns start processes")
 
 
 def run_campaign(

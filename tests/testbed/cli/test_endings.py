@@ -22,7 +22,7 @@ from testbed.validation import plant
 from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import oracle
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 LONGREACH = [sys.executable, "-m", "testbed.cli.main"]
 

@@ -15,7 +15,7 @@ from testbed.cli.main import app
 from testbed.cli.root import LATER, PANELS
 from testbed.experiments.catalogue import OURS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 HEAVY = ("numpy", "scipy", "numba", "cv2", "matplotlib", "distributed", "fastapi", "httpx", "mcap")
 SHOWN = f"""

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from testbed.cli.every_command import FORMER_NAMES
 from testbed.cli.main import app
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 ROOT = Path(__file__).parents[3]
 EVIDENCE = {ROOT / "docs" / name for name in ("evidence.md", "evidence_history.md")}  # the names of then

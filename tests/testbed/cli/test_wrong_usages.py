@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from testbed.cli.main import app
 from tests.support.paths import ROOT
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 WRONG = (  # command, cause, what the line says beside it
     ("dmeo", "usage.unknown_command", "did you mean 'demo'?"),

@@ -23,7 +23,7 @@ from testbed.scenarios.named_requests import fault_orders
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]  # a minute of arm time, on a busy machine
+pytestmark = [pytest.mark.slow("a minute of arm time"), pytest.mark.timeout(600)]
 
 FAST = ("controller.excitation.ramps=3", "plant.valves.deadband=0.02")
 

@@ -15,7 +15,7 @@ from testbed.lockstep.clock import run
 from testbed.lockstep.world import World
 from vision_pc.application.link_arm import LinkArm
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]  # a minute of arm time, on a busy machine
+pytestmark = [pytest.mark.slow("a minute of arm time"), pytest.mark.timeout(600)]
 
 Exciting = Callable[..., World]
 

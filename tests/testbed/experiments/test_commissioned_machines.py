@@ -5,7 +5,7 @@ import pytest
 from testbed.experiments.robustness.commissioning import commission_joint
 from tests.support.paths import CONFIGS
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.slow("a joint is commissioned"), pytest.mark.timeout(600)]
 
 
 def test_a_boom_that_swings_on_its_load_holding_valve_is_tried_out() -> None:

@@ -45,7 +45,7 @@ from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.positioning.expected_end import expected_end
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole runs of a campaign")
 
 LAB = WORLDS[WorldName.LAB]
 

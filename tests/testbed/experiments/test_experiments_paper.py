@@ -30,7 +30,7 @@ from testbed.reporting.plots import png
 from testbed.reporting.run_record import beginning
 from testbed.scenarios.scenario import load_scenario
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole runs of a campaign")
 
 CONFIGS = Path("configs")
 OPENCV = PaperSettings()

@@ -22,7 +22,7 @@ from vision_pc.config.choices import Method
 from vision_pc.core.perception.zhang_intrinsics import Checkerboard
 from vision_pc.core.se3 import Array
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole experiments, small")
 
 
 def test_printed_pose_and_table_of_the_paper_are_proper() -> None:

@@ -23,7 +23,7 @@ from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.config.choices import Method
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole runs of a campaign")
 
 
 def corrected(arm: str, seed: int) -> float:

@@ -21,7 +21,7 @@ from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs
 CONFIGS = Path("configs")
 COUNT = 16
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("roads are drawn and followed")
 
 
 @pytest.fixture(scope="module")

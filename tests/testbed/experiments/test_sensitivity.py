@@ -145,7 +145,7 @@ def machine(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     return told | {"true_mm": XYZ(x, 3.0, 0.0)}
 
 
-@pytest.mark.long
+@pytest.mark.slow("whole runs of a campaign")
 def test_the_command_names_what_limits_tells_the_cost_and_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

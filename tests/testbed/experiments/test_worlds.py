@@ -17,7 +17,7 @@ from testbed.scenarios.arms import arm_overrides
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole runs of a campaign")
 
 AXES = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
 

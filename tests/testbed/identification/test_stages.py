@@ -21,7 +21,7 @@ from testbed.identification.recording import MotionRecording
 from testbed.identification.shooting import DAMPINGS, Plan, shoot
 from testbed.identification.validation import check_believable, check_noise, validate
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("plants are identified")
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 MACHINE = Machine("an arm", "0123456789abcdef", "servo")

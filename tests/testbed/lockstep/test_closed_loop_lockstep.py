@@ -17,7 +17,7 @@ from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.types import CameraFrame, FrameObservation
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole worlds in lockstep")
 
 SEED = 3
 Observe = Callable[[CameraFrame, FrameObservation | None], FrameObservation]

@@ -18,7 +18,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.se3 import from_pose
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole worlds in lockstep")
 
 LITTLE_M = 1e-3  # what leakage past shut valves, and the servo against it, move the tool within a second
 

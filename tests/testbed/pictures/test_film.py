@@ -20,7 +20,7 @@ def only_a_look(rig: object, recorder: object, looks: int) -> None:
     recorder.step("start", "look", {})  # type: ignore[attr-defined]
 
 
-@pytest.mark.long
+@pytest.mark.slow("a run is filmed")
 def test_a_run_becomes_an_animation(tmp_path: Path) -> None:
     settings = load_settings(CONFIGS, {})
     often = patch("testbed.pictures.film.EVERY_NS", EVERY_NS)

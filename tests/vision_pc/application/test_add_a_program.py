@@ -53,7 +53,7 @@ async def test_the_page_s_program_is_served_with_its_guards_and_ranges(
     page_module: Callable[[str], Any],
 ) -> None:
     row = page_module("there_and_back").THERE_AND_BACK
-    async with bench(link_timeout_ms=30_000) as made:
+    async with bench() as made:
         app = create_app(made.station, made.operations, (*PROGRAMS, row))
         made.client = httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://vision")
         async with made.client:

@@ -37,7 +37,7 @@ CYCLE_S = 0.01
 SWING_CYCLES = 20
 
 
-async def until(condition: Callable[[], object], limit_s: float = 3.0) -> None:
+async def until(condition: Callable[[], object], limit_s: float = 30.0) -> None:
     """Waits for ``condition``; fails the test when it does not come true in time."""
     deadline = time.monotonic() + limit_s
     while not condition():

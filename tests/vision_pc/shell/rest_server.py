@@ -30,7 +30,7 @@ def served_bench(
     enabled: bool = True,
     add: Callable[[FastAPI], None] = lambda app: None,
     tokens: Mapping[Role, bytes] = MappingProxyType({}),
-    link_timeout_ms: int = 30_000,  # this machine may be busy
+    link_timeout_ms: int = 30_000,
     emulator_face: str = "",
     port: int = 0,
     tries_valves: bool = False,

@@ -15,6 +15,7 @@ import pytest
 from protocol.errors import ConfigurationError, FrameRefused, LinkLost
 from protocol.stereo_frame import FrameHeader, encode_header
 from tests.vision_pc.perception.test_rectification import raw_camera
+from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.choices import LensModel
 from vision_pc.config.vision import VisionConfig
@@ -105,9 +106,7 @@ async def opened(camera_settings: CameraSettings) -> AsyncIterator[CameraSource]
     try:
         yield camera
     finally:
-        began = time.monotonic()
         await camera.close()
-        assert time.monotonic() - began < 1.0
 
 
 def stream_settings(config: VisionConfig, port: int) -> CameraSettings:
@@ -131,7 +130,6 @@ async def test_stream_gives_the_newest_pair_on_this_machines_clock(
         status = camera.status()
         assert (status.connected, status.frames, status.dropped, status.reconnects) == (True, 2, 3, 0)
         assert status.age_ms is not None
-        assert status.age_ms < 400.0
 
 
 async def test_held_pictures_are_not_written_over(config: VisionConfig, sender: Sender) -> None:
@@ -189,7 +187,7 @@ async def test_frozen_picture_is_told_although_frames_arrive(config: VisionConfi
 
         for number in range(2, 5):  # three more alike: the limit
             sender.send(number, grey=1)
-        await asyncio.sleep(0.1)
+        await until(lambda: camera.status().trouble == "link.camera_frozen")
         repeating = asyncio.create_task(repeat())
         with pytest.raises(LinkLost) as lost:
             await camera.frame_after(pair.capture_ns)

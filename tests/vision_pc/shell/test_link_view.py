@@ -52,7 +52,7 @@ def test_every_counter_is_shown_with_its_unit() -> None:
 async def test_a_controller_that_enable_alone_sets_going_is_told_while_it_is_there() -> None:
     async with bench(tries_valves=True) as made:
         assert (await made.client.get("/link")).json()["tries_valves"] is True
-        await made.controller.stop(say_goodbye=False)
+        await made.controller.stop()
         await until(lambda: not made.station.controller.connected)
         assert (await made.client.get("/link")).json()["tries_valves"] is False
 
@@ -74,7 +74,7 @@ async def test_the_rest_face_shows_the_link() -> None:
         document = (await made.client.get("/openapi.json")).json()
         counters = document["components"]["schemas"]["LinkCounters"]["properties"]
         assert all("description" in field for field in counters.values())
-        await made.controller.stop(say_goodbye=False)
+        await made.controller.stop()
         await until(lambda: not made.station.controller.connected)
         gone = (await made.client.get("/link")).json()
         assert gone["connected"] is False
