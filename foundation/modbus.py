@@ -1,18 +1,15 @@
 """Modbus TCP by pymodbus, as strict as either end of the fieldbus needs it: frames of a stream, and PDUs."""
 
-import logging
 import struct
 
+from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerSocket
-from pymodbus.pdu import DecodePDU, ModbusPDU
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.diag_message import DiagnosticBase
 
 MAX_PDU_BYTES = 253
-WRITE_COILS = 15
 _HEADER_BYTES = 7
 _BEFORE_LENGTH = 6  # the length counts what follows it, the unit id first
-
-# It tells of every frame that a stranger bends; what that does to an exchange, both ends count and report.
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 
 class PlaceLost(Exception):
@@ -37,19 +34,25 @@ class StreamFramer(FramerSocket):
 
 
 def decoded(decoder: DecodePDU, data: bytes) -> ModbusPDU | None:
-    """What a PDU says; None where pymodbus cannot decode it, or would send other bytes to say so.
+    """What a PDU says; None where pymodbus cannot decode it, or where its length is not what it says.
 
-    It takes trailing bytes, and counts that lie. Bits behind the last coil mean nothing, so they may differ.
+    Beside ``decoder.decode``, which takes trailing bytes, writes a line for each PDU that it refuses, and
+    renders each other one as text.
     """
-    pdu = decoder.decode(data)
+    framed = b"\0" + data  # behind a unit id, as on a serial line, where a sum of two bytes follows
     try:
-        sent = b"" if pdu is None else encoded(pdu)
-    except (ValueError, struct.error):  # a quantity or a value that it would not send
+        kind = decoder.lookupPduClass(framed)
+        if kind is None:
+            return None
+        if kind.calculateRtuFrameSize(framed) != len(framed) + 2 and not issubclass(kind, DiagnosticBase):
+            return None  # an echo may have any length
+        pdu = ExceptionResponse(data[0]) if kind is ExceptionResponse else kind()
+        pdu.decode(data[1:])
+    except (ModbusException, ValueError, LookupError, struct.error):
         return None
-    compared = len(data) - (data[0] == WRITE_COILS)
-    return pdu if len(sent) == len(data) and sent[:compared] == data[:compared] else None
+    return pdu
 
 
 def encoded(pdu: ModbusPDU) -> bytes:
-    """The bytes of a PDU, the function code first. Raises ValueError for a quantity beyond its limits."""
+    """The bytes of a PDU, the function code first."""
     return pdu.function_code.to_bytes(1, "big") + pdu.encode()
