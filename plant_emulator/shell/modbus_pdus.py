@@ -13,8 +13,7 @@ from plant_emulator.core.coupler import modbus_requests as modbus
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Request, Span
 
-# Of function codes 15 and 16: pymodbus takes 2000 bits, as for reading, and any number of words.
-MAX_WRITE_BITS, MAX_WRITE = 1968, 123
+MAX_WRITE_BITS = 1968  # pymodbus takes 2000, as for reading; of words a frame holds no more than 123
 _HEAD_BYTES = 6  # of a write: function code, address, quantity or value, byte count
 _SERVED = {*COUPLER_MAP.reads, *COUPLER_MAP.writes, modbus.DIAGNOSTICS}
 _DECODER = DecodePDU(is_server=True)
@@ -39,8 +38,7 @@ def request_of(data: bytes) -> Request:
         return Request(function, 0, Span(asked.address, asked.count))
     elif asked is not None:
         values = asked.bits or asked.registers
-        most = MAX_WRITE_BITS if asked.bits else MAX_WRITE
-        counted = 1 <= len(values) <= most and asked.count in (0, len(values))
+        counted = 1 <= len(values) <= MAX_WRITE_BITS and asked.count in (0, len(values))
         if counted and encoded(asked)[:_HEAD_BYTES] == data[:_HEAD_BYTES]:
             return Request(function, 0, None, Span(asked.address, len(values)), values)
     return Request(function, modbus.ILLEGAL_VALUE)

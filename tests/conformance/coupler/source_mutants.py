@@ -25,6 +25,7 @@ from tests.conformance.coupler_mutant_report import shifted_clock
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 
 MODULES = (
+    "foundation.modbus",
     "plant_emulator.core.coupler.modbus_requests",
     "plant_emulator.core.coupler.watchdog",
     "plant_emulator.core.coupler.image",
