@@ -8,8 +8,7 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.diag_message import DiagnosticBase
 
 MAX_PDU_BYTES = 253
-_HEADER_BYTES = 7
-_BEFORE_LENGTH = 6  # the length counts what follows it, the unit id first
+_LENGTH_ENDS = 6  # and counts what follows it, the unit id first
 
 
 class PlaceLost(Exception):
@@ -27,16 +26,16 @@ class StreamFramer(FramerSocket):
 
         Raises PlaceLost.
         """
-        length = int.from_bytes(data[2:_BEFORE_LENGTH], "big")  # above it stands the protocol number, 0
-        if len(data) >= _HEADER_BYTES and not 2 <= length <= MAX_PDU_BYTES + 1:
-            raise PlaceLost(data[:_HEADER_BYTES])
-        return super().decode(data[: _BEFORE_LENGTH + length])
+        length = int.from_bytes(data[2:_LENGTH_ENDS], "big")  # above it stands the protocol number, 0
+        if len(data) >= _LENGTH_ENDS and not 2 <= length <= MAX_PDU_BYTES + 1:
+            raise PlaceLost(data[:_LENGTH_ENDS])
+        return super().decode(data[: _LENGTH_ENDS + length])
 
 
 def decoded(decoder: DecodePDU, data: bytes) -> ModbusPDU | None:
     """What a PDU says; None where pymodbus cannot decode it, or where its length is not what it says.
 
-    Beside ``decoder.decode``, which takes trailing bytes, writes a line for each PDU that it refuses, and
+    Not by ``decoder.decode``, which takes trailing bytes, writes a line for each PDU that it refuses, and
     renders each other one as text.
     """
     framed = b"\0" + data  # behind a unit id, as on a serial line, where a sum of two bytes follows
