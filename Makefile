@@ -55,7 +55,7 @@ $(BIN)/python:
 $(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
-	@echo "compiling the kernels of plant, camera and odometry, once: about half a minute"
+	@echo "compiling kernels, once: a minute or two of each core; the cache is kept for later environments"
 	$(BIN)/python -m testbed.lockstep.warm_up
 	@touch $@
 

@@ -1,11 +1,9 @@
 """Registers of the bus coupler around the process image: one table drives the plant, the suite and the page.
 
 The class of coupler is Beckhoff's BK9000/BK9100: identification, status, image lengths and watchdog live at
-fixed addresses; analog terminals map first, digital ones behind them. And the Modbus TCP frames in which
-either end carries what it asks or answers about them: cut out of a stream of bytes, and put together.
+fixed addresses; analog terminals map first, digital ones behind them.
 """
 
-import struct
 from typing import NamedTuple
 
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
@@ -70,59 +68,3 @@ def identification_words() -> tuple[int, ...]:
     """The seven words of IDENTIFICATION_TEXT, the first character of each pair in the low byte."""
     text = IDENTIFICATION_TEXT.encode("ascii")
     return tuple(text[i] | text[i + 1] << 8 for i in range(0, len(text), 2))
-
-
-MAX_PDU_BYTES = 253
-_MBAP = struct.Struct(">HHHB")
-_BEFORE_LENGTH = 6  # the length counts what follows it, the unit id first
-
-
-class ModbusFrame(NamedTuple):
-    """A transaction number, a unit id, and the PDU of a request or of its response."""
-
-    transaction: int
-    unit: int
-    pdu: bytes
-
-
-class PlaceLost(Exception):
-    """A frame header makes no sense, so the place in the stream is lost."""
-
-    def __init__(self, header: bytes) -> None:
-        super().__init__(f"frame header {header.hex()} refused")
-
-
-class ModbusStream:
-    """Holds what has come and is not yet a whole frame, or not yet taken."""
-
-    def __init__(self) -> None:
-        self._data = b""
-        self._at = 0
-
-    def __len__(self) -> int:
-        """Bytes held."""
-        return len(self._data) - self._at
-
-    def add(self, data: bytes) -> None:
-        """Append what the socket gave."""
-        self._data = self._data[self._at :] + data
-        self._at = 0
-
-    def next(self) -> ModbusFrame | None:
-        """The oldest whole frame, which is taken; None when none is whole. Raises PlaceLost."""
-        data, at = self._data, self._at
-        if len(data) - at < _MBAP.size:
-            return None
-        transaction, protocol, length, unit = _MBAP.unpack_from(data, at)
-        if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
-            raise PlaceLost(data[at : at + _MBAP.size])
-        end = at + _BEFORE_LENGTH + length
-        if len(data) < end:
-            return None
-        self._at = end
-        return ModbusFrame(transaction, unit, data[at + _MBAP.size : end])
-
-
-def framed(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """The frame that carries ``pdu``."""
-    return _MBAP.pack(transaction, 0, len(pdu) + 1, unit) + pdu

@@ -3,18 +3,24 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from pymodbus.pdu.bit_message import ReadCoilsRequest
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
+
 from conformance.coupler.unasked import UNASKED
 from conformance.runner import coupler_cases
+from foundation.modbus import MAX_PDU_BYTES
 from plant_emulator.core.coupler import modbus_requests as requests
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
+from plant_emulator.shell.modbus_pdus import MAX_WRITE_BITS
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
 from tools.protocol_page import filled
 from tools.tables import table
 
 PAGE = Path(__file__).parents[1] / "docs" / "process_image.md"
-_READ, _BITS, _NONE = requests.MAX_READ, requests.MAX_READ_BITS, "–"
+_READ, _BITS, _NONE = ReadHoldingRegistersRequest.MAX_COUNT, ReadCoilsRequest.MAX_COUNT, "–"
+_MOST_WORDS = (MAX_PDU_BYTES - 6) // 2  # behind function code, address, quantity and byte count
 FUNCTIONS = {
     requests.READ_COILS: ("read digital outputs", _BITS, _NONE),
     requests.READ_DISCRETE: ("read digital inputs", _BITS, _NONE),
@@ -23,9 +29,13 @@ FUNCTIONS = {
     requests.WRITE_COIL: ("write a digital output", _NONE, 1),
     requests.WRITE_SINGLE: ("write an output word or own register", _NONE, 1),
     requests.DIAGNOSTICS: ("diagnostics", _NONE, _NONE),
-    requests.WRITE_COILS: ("write digital outputs", _NONE, requests.MAX_WRITE_BITS),
-    requests.WRITE_MULTIPLE: ("write outputs or own registers", _NONE, requests.MAX_WRITE),
-    requests.READ_WRITE_MULTIPLE: ("write outputs, then read", _READ, requests.MAX_WRITE_OF_23),
+    requests.WRITE_COILS: ("write digital outputs", _NONE, MAX_WRITE_BITS),
+    requests.WRITE_MULTIPLE: ("write outputs or own registers", _NONE, _MOST_WORDS),
+    requests.READ_WRITE_MULTIPLE: (
+        "write outputs, then read",
+        _READ,
+        ReadWriteMultipleRegistersRequest.MAX_WRITE_COUNT,
+    ),
 }
 EXCEPTIONS = {
     requests.ILLEGAL_FUNCTION: "function code or sub-function that is not served",

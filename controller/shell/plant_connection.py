@@ -4,7 +4,9 @@ import asyncio
 import time
 from typing import cast
 
-from protocol.coupler_registers import ModbusStream, PlaceLost, framed
+from pymodbus.pdu import DecodePDU, ModbusPDU
+
+from foundation.modbus import PlaceLost, StreamFramer, decoded
 
 
 class PlantConnection(asyncio.Protocol):
@@ -16,24 +18,29 @@ class PlantConnection(asyncio.Protocol):
     def __init__(self, unit_id: int) -> None:
         self._unit_id = unit_id
         self._transaction = 0
-        self._frames = ModbusStream()
+        self._framer = StreamFramer(DecodePDU(is_server=False))
+        self._held = b""
         self._transport: asyncio.Transport | None = None
-        self._answer: asyncio.Future[bytes] | None = None
+        self._answer: asyncio.Future[ModbusPDU | None] | None = None
         self._expires_s = 0.0
         self._alarm: asyncio.TimerHandle | None = None
         self._loop = asyncio.get_running_loop()
 
-    async def ask(self, pdu: bytes, within_s: float) -> bytes:
-        """The response PDU. Raises TimeoutError, or ConnectionError when the connection has ended."""
+    async def ask(self, request: ModbusPDU, within_s: float) -> ModbusPDU | None:
+        """The answer, None if it is none that pymodbus would send; ``request`` gets its number here.
+
+        Raises TimeoutError, or ConnectionError when the connection has ended.
+        """
         if self._transport is None or self._transport.is_closing():
             raise ConnectionError("the plant has closed the connection")
         self._transaction = (self._transaction + 1) & 0xFFFF
-        answer: asyncio.Future[bytes] = self._loop.create_future()
+        answer: asyncio.Future[ModbusPDU | None] = self._loop.create_future()
         self._answer = answer
         self._expires_s = time.monotonic() + within_s
         if self._alarm is None:
             self._look_at_clock()
-        self._transport.write(framed(self._transaction, self._unit_id, pdu))
+        request.dev_id, request.transaction_id = self._unit_id, self._transaction
+        self._transport.write(self._framer.buildFrame(request))
         try:
             return await answer
         finally:
@@ -50,13 +57,15 @@ class PlantConnection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Some bytes of an answer, or of several."""
-        self._frames.add(data)
+        self._held += data
         try:
-            while (frame := self._frames.next()) is not None:
+            while (frame := self._framer.decode(self._held))[0]:
+                used, unit, transaction, pdu = frame
+                self._held = self._held[used:]
                 waits = self._answer is not None and not self._answer.done()
-                if waits and (frame.transaction, frame.unit) == (self._transaction, self._unit_id):
+                if waits and (transaction, unit) == (self._transaction, self._unit_id):
                     assert self._answer is not None
-                    self._answer.set_result(frame.pdu)
+                    self._answer.set_result(decoded(self._framer.decoder, pdu))
         except PlaceLost as lost:
             self._fail(ConnectionError(str(lost)))
             self.close()

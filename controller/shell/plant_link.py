@@ -8,10 +8,16 @@ the next one.
 import asyncio
 import contextlib
 import itertools
-import struct
 import time
 from collections import Counter
 from collections.abc import Sequence
+
+from pymodbus.pdu import ExceptionResponse
+from pymodbus.pdu.register_message import (
+    ReadWriteMultipleRegistersRequest,
+    ReadWriteMultipleRegistersResponse,
+    WriteSingleRegisterRequest,
+)
 
 from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
@@ -19,13 +25,10 @@ from controller.shell.plant_connection import PlantConnection
 from foundation.durations import DurationHistogram
 from foundation.event_log import EventLog
 from protocol.coupler_registers import RESET_WORDS, WATCHDOG_RESET
-from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
+from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS
 
-_WRITE, _EXCHANGE, _EXCEPTION = 6, 23, 0x80  # function codes, and the bit that marks a refusal
 _WATCHDOG_EXPIRED = 4
-_REQUEST = struct.Struct(f">BHHHHB{OUTPUT_WORDS}H")
-_RESPONSE = struct.Struct(f">2s{INPUT_WORDS}H")
-_SOUND = bytes((_EXCHANGE, 2 * INPUT_WORDS))  # what a response of the right form begins with
+_EXCHANGE = ReadWriteMultipleRegistersResponse.function_code
 
 
 class PlantLink:
@@ -69,44 +72,35 @@ class PlantLink:
             self.failures["not_connected"] += 1
             return None
         began_ns = time.monotonic_ns()
-        request = _REQUEST.pack(
-            _EXCHANGE,
-            INPUT_ADDRESS,
-            INPUT_WORDS,
-            OUTPUT_ADDRESS,
-            OUTPUT_WORDS,
-            2 * OUTPUT_WORDS,
-            *valve_words,
-        )
+        request = ReadWriteMultipleRegistersRequest(INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, valve_words)
         try:
-            response = await connection.ask(request, self._timeout_s)
+            answer = await connection.ask(request, self._timeout_s)
         except TimeoutError as error:
             self._dropped("timeout", str(error))
             return None
         except OSError as error:
             self._dropped("connection", str(error))
             return None
-        if response[0] == _EXCHANGE | _EXCEPTION and len(response) == 2:
+        if isinstance(answer, ExceptionResponse) and answer.function_code == _EXCHANGE | 0x80:
             # The coupler answered, so the connection is sound: 6 means that another master owns the outputs.
-            code = response[1]
+            code = answer.exception_code
             self._failed(f"exception_{code}", f"the coupler answered exception {code}")
             if code == _WATCHDOG_EXPIRED:
                 await self._reset_coupler(connection)
             return PlantRefusal(code)
-        if len(response) != _RESPONSE.size or response[:2] != _SOUND:
-            wanted = f"{_SOUND.hex()} and {INPUT_WORDS} words"
-            self._dropped(
-                "wrong_answer", f"{response[:2].hex()} and {len(response) - 2} bytes: wanted {wanted}"
-            )
+        if not isinstance(answer, ReadWriteMultipleRegistersResponse) or len(answer.registers) != INPUT_WORDS:
+            came = answer and f"{len(answer.registers)} of {answer.function_code}"
+            self._dropped("wrong_answer", f"{came}: wanted {INPUT_WORDS} words of function code {_EXCHANGE}")
             return None
         self.round_trip.add(time.monotonic_ns() - began_ns)
-        return list(_RESPONSE.unpack(response)[1:])
+        return list(answer.registers)
 
     async def _reset_coupler(self, connection: PlantConnection) -> None:
         # Moves nothing: the plant's motion watchdog and our own fault stay latched above the coupler's.
         try:
             for word in RESET_WORDS:
-                await connection.ask(struct.pack(">BHH", _WRITE, WATCHDOG_RESET, word), self._timeout_s)
+                request = WriteSingleRegisterRequest(address=WATCHDOG_RESET, registers=[word])
+                await connection.ask(request, self._timeout_s)
         except OSError as error:  # a TimeoutError is one too
             self._dropped("reset", str(error))
             return

@@ -21,9 +21,9 @@ from websockets.typing import Subprotocol
 from foundation.event_log import EventLog
 from foundation.live import foxglove, wire
 from foundation.live.latest import LatestQueue
-from foundation.problems import MEDIA_TYPE, problem
 from foundation.rest.access import Access
 from foundation.rest.guard import AccessGuard
+from foundation.rest.problems import MEDIA_TYPE, problem
 from foundation.rest.refusals import DATA_HEADERS, Refusal, RefusalLog
 
 VIEWERS_MAX = 8

@@ -14,7 +14,7 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from foundation.problems import MEDIA_TYPE, problem
+from foundation.rest.problems import MEDIA_TYPE, problem
 from foundation.rest.refusals import DATA_HEADERS, RefusalLog
 
 HEADERS_WITHIN_S = 10.0  # beyond the 5 s for which uvicorn keeps an idle connection

@@ -10,8 +10,8 @@ from typing import Any
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.problems import problem
 from foundation.rest.access import Access
+from foundation.rest.problems import problem
 from foundation.rest.refusals import (
     DATA_POLICY,
     SECURITY_HEADERS,

@@ -9,7 +9,7 @@ from fastapi.responses import JSONResponse
 from starlette.types import Scope
 
 from foundation.event_log import EventLog
-from foundation.problems import MEDIA_TYPE
+from foundation.rest.problems import MEDIA_TYPE
 
 NO_FRAMES = "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
 DATA_POLICY = f"default-src 'none'; {NO_FRAMES}"

@@ -13,10 +13,10 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from foundation.event_log import EventLog
-from foundation.problems import problem, problem_of
 from foundation.rest.access import ANYBODY_HERE, Access
 from foundation.rest.connections import Door, Lanes
 from foundation.rest.guard import AccessGuard, BodyLimit
+from foundation.rest.problems import problem, problem_of
 from foundation.rest.refusals import RefusalLog, Refuse, respond
 from protocol.errors import LongreachError
 

@@ -11,7 +11,7 @@ from http import HTTPStatus
 from starlette.types import Scope
 
 from foundation.configuration import StrictModel
-from foundation.problems import problem
+from foundation.rest.problems import problem
 from foundation.rest.refusals import Refusal, header_values
 from foundation.secret_source import SecretSource, read_secret
 from protocol.errors import ConfigurationError

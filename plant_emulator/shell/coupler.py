@@ -15,6 +15,7 @@ from plant_emulator.core.coupler.answers import CouplerAnswers
 from plant_emulator.core.coupler.turns import Turns
 from plant_emulator.core.places import who_yields
 from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
+from plant_emulator.shell.modbus_pdus import answer_to, request_of
 from protocol.process_image import ValveImage
 
 TURN_NS = 1_000_000  # between two slices of the others
@@ -85,10 +86,11 @@ class Coupler(CouplerAnswers):
     def answer(self, master: object, unit: int, pdu: bytes) -> bytes:
         """The response PDU to a request PDU; ``master`` is any object that stands for its connection."""
         now_ns = self.clock_ns()
-        response = self.answered(master, pdu, now_ns)
+        request = request_of(pdu)
+        code, read = self.answered(master, request, now_ns)
         if self._watchdog.armed and (self._alarm is None or self._alarm_ns > self._watchdog.expires_at_ns()):
             self._set_alarm(now_ns)
-        return response
+        return answer_to(request, code, read)
 
     def comes_first(self, connection: CouplerConnection) -> bool:
         """Whether this is the connection that wrote outputs last."""

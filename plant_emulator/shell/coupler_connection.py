@@ -5,10 +5,13 @@ import socket
 from collections.abc import Callable
 from typing import Protocol
 
-from protocol.coupler_registers import ModbusStream, PlaceLost, framed
+from pymodbus.pdu import DecodePDU
+
+from foundation.modbus import PlaceLost, StreamFramer
 
 SLICE = 16  # requests that one step of the loop serves
 _RECEIVE_BYTES = 4096
+_FRAMER = StreamFramer(DecodePDU(is_server=True))
 
 
 class Answers(Protocol):
@@ -56,7 +59,7 @@ class CouplerConnection:
         self.blocked_ns: int | None = None
         self._coupler = coupler
         self._socket = sock
-        self._requests = ModbusStream()
+        self._held = b""  # has come and is not yet a whole request, or not yet served
         self._unsent = b""
         self._waits = False
         self._loop = asyncio.get_running_loop()
@@ -79,10 +82,14 @@ class CouplerConnection:
             return
         answers, count, silent = [], 0, self._coupler.silent()
         try:
-            while count < most and (request := self._requests.next()) is not None:
+            while count < most:
+                used, unit, transaction, pdu = _FRAMER.decode(self._held)
+                if not used:
+                    break
+                self._held = self._held[used:]
                 count += 1
                 if not silent:
-                    answers.append(self._answer(*request))
+                    answers.append(_FRAMER.encode(self._coupler.answer(self, unit, pdu), unit, transaction))
         except PlaceLost as lost:
             self._coupler.lost_its_place(str(lost))
             self._send(b"".join(answers))
@@ -95,13 +102,10 @@ class CouplerConnection:
             self._send(answers[0] if count == 1 else b"".join(answers))
         if self.blocked_ns is not None or self._socket.fileno() < 0:
             return
-        if count == most and len(self._requests):
+        if count == most and self._held:
             self._wait()
         else:
             self._listen(True)
-
-    def _answer(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        return framed(transaction, unit, self._coupler.answer(self, unit, pdu))
 
     def _readable(self) -> None:
         if self._waits:
@@ -117,7 +121,7 @@ class CouplerConnection:
         if not data:
             self.close()
             return
-        self._requests.add(data)
+        self._held += data
         if self._coupler.comes_first(self):
             self.serve(SLICE)
         else:

@@ -25,9 +25,9 @@ from starlette.types import Scope
 
 from foundation.event_log import EventLog, process_log
 from foundation.extensions import lines
-from foundation.problems import problem
 from foundation.rest.access import configured_access
 from foundation.rest.docs_page import add_docs
+from foundation.rest.problems import problem
 from foundation.rest.refusals import Refusal
 from foundation.rest.server import RestServer, install_problems
 from foundation.scheduling import Policy, take_policy

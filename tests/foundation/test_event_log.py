@@ -127,14 +127,7 @@ def test_an_unwritable_directory_is_refused(tmp_path: Path) -> None:
     assert refused.value.cause == "configuration.record_dir_unwritable"
 
 
-def test_what_libraries_log_obeys_the_schema(
-    capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
-) -> None:
-    # The controller's plant link silences pymodbus when it is imported, as another test may have done.
-    muted = logging.getLogger("pymodbus")
-    level = muted.level
-    muted.setLevel(logging.NOTSET)
-    request.addfinalizer(lambda: muted.setLevel(level))
+def test_what_libraries_log_obeys_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
     with process_log("plant_emulator"):
         logging.getLogger("pymodbus.logging").warning("frame %d refused", 7)
         logging.getLogger("uvicorn.error").info("started")

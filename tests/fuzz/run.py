@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.support.paths import ROOT
 
-_NAMES = ("datagram", "session", "image", "modbus", "stream", "frame")
+_NAMES = ("datagram", "session", "image", "modbus", "stream", "answer", "frame")
 _INSTRUMENTED = ["protocol", "plant_emulator.core", "plant_emulator.shell"]
 
 

@@ -8,8 +8,10 @@ import struct
 from collections.abc import Callable
 from zlib import crc32
 
+from pymodbus.pdu import DecodePDU
+
+from foundation.modbus import MAX_PDU_BYTES, PlaceLost, StreamFramer, decoded
 from plant_emulator.shell.coupler import Coupler
-from protocol.coupler_registers import MAX_PDU_BYTES, ModbusStream, PlaceLost, framed
 from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused
@@ -99,22 +101,30 @@ def modbus(data: bytes) -> bool:
     return not answer[0] & 0x80
 
 
+_FRAMER = StreamFramer(DecodePDU(is_server=False))
+
+
 def stream(data: bytes) -> bool:
     """Bytes on a Modbus TCP connection, in two pieces; accepted: the connection is kept."""
-    requests = ModbusStream()
-    cut = data[0] % len(data) if data else 0
+    held, cut = b"", data[0] % len(data) if data else 0
     try:
         for piece in (data[1:cut], data[max(cut, 1) :]):
-            requests.add(piece)
-            while (request := requests.next()) is not None:
-                answer = _COUPLER.answer(requests, request.unit, request.pdu)
-                echoed = ModbusStream()
-                echoed.add(framed(request.transaction, request.unit, answer))
-                assert echoed.next() == request._replace(pdu=answer)
+            held += piece
+            while (frame := _FRAMER.decode(held))[0]:
+                used, unit, transaction, pdu = frame
+                held = held[used:]
+                answer = _COUPLER.answer("stream", unit, pdu)
+                sent = _FRAMER.encode(answer, unit, transaction)
+                assert _FRAMER.decode(sent + b"\0") == (len(sent), unit, transaction, answer)
     except PlaceLost:
         return False
-    assert len(requests) < MAX_PDU_BYTES + 7, len(requests)
+    assert len(held) < MAX_PDU_BYTES + 7, len(held)
     return True
+
+
+def answer(data: bytes) -> bool:
+    """What a plant may answer to the controller: decoded or refused, and no exception."""
+    return bool(data) and decoded(_FRAMER.decoder, data) is not None
 
 
 def frame(data: bytes) -> bool:
@@ -144,5 +154,6 @@ TARGETS: dict[str, tuple[Callable[[bytes], bool], list[bytes]]] = {
     ),
     "modbus": (modbus, _REQUESTS),
     "stream": (stream, [b"\5" + struct.pack(">HHHB", 1, 0, len(r) + 1, 1) + r for r in _REQUESTS]),
+    "answer": (answer, [_COUPLER.answer("seed", 1, request) for request in _REQUESTS]),
     "frame": (frame, [encode_header(FrameHeader(1, 2, 3, 1280, 720, 4, 0))]),
 }

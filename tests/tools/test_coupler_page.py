@@ -4,7 +4,7 @@ import itertools
 import re
 
 from plant_emulator.core.coupler.image import COUPLER_MAP
-from plant_emulator.core.coupler.modbus_requests import exception_for
+from plant_emulator.shell.modbus_pdus import request_of
 from tools.coupler_page import DIAGNOSTICS, PAGE, rendered, sections
 
 TEXT = PAGE.read_text()
@@ -24,5 +24,6 @@ def test_clauses_are_numbered_in_order_and_those_cited_exist() -> None:
 
 
 def test_the_page_s_diagnostics_are_those_served() -> None:
-    served = {sub for sub in range(256) if exception_for(bytes([8, 0, sub, 0, 0]), COUPLER_MAP) == 0}
+    asked = {sub: request_of(bytes([8, 0, sub, 0, 0])) for sub in range(256)}
+    served = {sub for sub, request in asked.items() if COUPLER_MAP.exception_for(request) == 0}
     assert served == set(DIAGNOSTICS)

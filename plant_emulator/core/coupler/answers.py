@@ -1,9 +1,6 @@
 """The coupler's answers: each request is judged, refused with its exception or carried out on the image."""
 
-import struct
 from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import NamedTuple
 
 from plant_emulator.core.coupler.image import COUPLER_MAP, CouplerImage
 from plant_emulator.core.coupler.modbus_requests import (
@@ -12,28 +9,19 @@ from plant_emulator.core.coupler.modbus_requests import (
     COUNT_FRAMING_ERRORS,
     DIAGNOSTICS,
     ECHO,
-    FORM_BYTES,
     READ_COILS,
     READ_DISCRETE,
     READ_STATUS,
-    READ_WRITE_MULTIPLE,
     WRITE_COIL,
     WRITE_COILS,
-    WRITE_MULTIPLE,
-    WRITE_SINGLE,
-    WRITING,
+    Request,
     Span,
-    exception_for,
-    read,
-    written,
 )
 from plant_emulator.core.coupler.watchdog import CouplerWatchdog
 from protocol.coupler_registers import IDENTIFICATION
 from protocol.process_image import ValveImage
 
 _BIT_FUNCTIONS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
-_WRITTEN_AT = {WRITE_SINGLE: 3, WRITE_MULTIPLE: 6, READ_WRITE_MULTIPLE: 10}  # where the words begin
-_FORMS = 256  # a master repeats a few; each is judged once
 _CENTRED = ValveImage(0, 0, (0.0,) * 6)
 
 
@@ -58,23 +46,6 @@ class CouplerStatistics:
     def as_dict(self) -> dict[str, int]:
         """The counts by name."""
         return dict(vars(self))
-
-
-class RequestForm(NamedTuple):
-    """What a request is by its first bytes and its length, whatever words it carries.
-
-    ``code``: the exception it deserves, or 0. ``reads``, ``writes``: registers or bits, where it is sound.
-    ``terminals``: whether it concerns terminals and not the coupler's own registers. ``words_read``,
-    ``words_written``: their layout in response and request.
-    """
-
-    function: int
-    code: int
-    reads: Span | None
-    writes: Span | None
-    terminals: bool
-    words_read: struct.Struct
-    words_written: struct.Struct
 
 
 class CouplerAnswers:
@@ -102,24 +73,28 @@ class CouplerAnswers:
         self._image = CouplerImage(sensor_words, self._watchdog)
         self._counted_from = self.statistics.as_dict()
 
-    def answered(self, master: object, pdu: bytes, now_ns: int) -> bytes:
-        """The response PDU to a request PDU of ``master``."""
+    def answered(self, master: object, request: Request, now_ns: int) -> tuple[int, Sequence[int]]:
+        """Exception code of a request of ``master``, or 0 and the words or bits that it reads, if any."""
         self.statistics.requests += 1
         self.look_at_watchdog(now_ns)
-        form = _form(pdu[:FORM_BYTES], len(pdu))
-        code, response, wrote = form.code, b"", form.terminals and form.writes is not None
-        if code == 0 and form.terminals:
+        code, writes = COUPLER_MAP.exception_for(request), request.writes
+        concerned = writes or request.reads
+        terminals = concerned is not None and (
+            request.function in _BIT_FUNCTIONS or concerned.address < IDENTIFICATION
+        )
+        wrote = terminals and writes is not None
+        if code == 0 and terminals:
             code = self._watchdog.refusal(master, wrote, now_ns)
-        if code == 0 and form.writes is not None:
-            code = self._write(form, form.writes, pdu, master, now_ns)
-        if code == 0:
-            response = self._response(form, pdu, now_ns)
-            self._watchdog.obeyed(master, wrote, now_ns)
-            if wrote:
-                self.writer = master
-            return response
-        self.statistics.exceptions += 1
-        return bytes((form.function | 0x80, code))
+        if code == 0 and writes is not None:
+            code = self._write(request, writes, master, now_ns)
+        if code != 0:
+            self.statistics.exceptions += 1
+            return code, ()
+        read = self._read(request, now_ns)
+        self._watchdog.obeyed(master, wrote, now_ns)
+        if wrote:
+            self.writer = master
+        return 0, read
 
     def look_at_watchdog(self, now_ns: int) -> None:
         """Let the watchdog expire if it is due: all outputs go to zero."""
@@ -142,71 +117,37 @@ class CouplerAnswers:
         setattr(self.statistics, counter, count)
         self._report(cause, event, "warning", cause=cause, detail=why, count=count)
 
-    def _write(self, form: RequestForm, span: Span, pdu: bytes, master: object, now_ns: int) -> int:
-        """Carry out the writing part of a sound request; the exception that its words deserve, or 0."""
-        if form.function in _BIT_FUNCTIONS:
-            self._image.write_bits(span.address, _bits_of(pdu, span.words))
+    def _write(self, request: Request, span: Span, master: object, now_ns: int) -> int:
+        """Carry out the writing part of a sound request; the exception that its values deserve, or 0."""
+        if request.function in _BIT_FUNCTIONS:
+            self._image.write_bits(span.address, request.values)
             return 0
-        words = form.words_written.unpack_from(pdu, _WRITTEN_AT[form.function])
         if span.address >= IDENTIFICATION:
             # Each of these registers is a block of its own, so exactly one word comes.
-            return self._watchdog.configure(master, span.address, words[0], now_ns)
-        code, image, torn = self._image.write(span.address, words)
+            return self._watchdog.configure(master, span.address, request.values[0], now_ns)
+        code, image, torn = self._image.write(span.address, request.values)
         self.statistics.torn_images += torn
         if image is not None:
             self._on_valves(image)
         return code
 
-    def _response(self, form: RequestForm, pdu: bytes, now_ns: int) -> bytes:
-        if form.reads is not None:
-            if form.function in _BIT_FUNCTIONS:
-                data = _packed(self._image.bits(form.function, *form.reads))
-            else:
-                data = form.words_read.pack(*self._image.words(*form.reads, now_ns))
-            return bytes((form.function, len(data))) + data
-        return self._diagnosed(pdu) if form.function == DIAGNOSTICS else pdu[:5]
+    def _read(self, request: Request, now_ns: int) -> Sequence[int]:
+        if request.function == DIAGNOSTICS:
+            return self._diagnosed(*request.values)
+        if request.reads is None:
+            return ()
+        if request.function in _BIT_FUNCTIONS:
+            return self._image.bits(request.function, *request.reads)
+        return self._image.words(*request.reads, now_ns)
 
-    def _diagnosed(self, pdu: bytes) -> bytes:
-        sub_function = int.from_bytes(pdu[1:3], "big")
+    def _diagnosed(self, sub_function: int, *data: int) -> Sequence[int]:
         if sub_function in (ECHO, CLEAR_COUNTERS):
             if sub_function == CLEAR_COUNTERS:
                 self._counted_from = self.statistics.as_dict()
-            return pdu
+            return data
         if sub_function == READ_STATUS:
-            return pdu[:3] + struct.pack(">H", self._image.status())
+            return (self._image.status(),)
         name = {COUNT_EXCEPTIONS: "exceptions", COUNT_FRAMING_ERRORS: "framing_errors"}.get(
             sub_function, "requests"
         )
-        count = getattr(self.statistics, name) - self._counted_from[name]
-        return pdu[:3] + struct.pack(">H", count & 0xFFFF)
-
-
-@lru_cache(_FORMS)
-def _form(head: bytes, length: int) -> RequestForm:
-    pdu = head.ljust(length, b"\0")
-    function, code = pdu[0], exception_for(pdu, COUPLER_MAP)
-    if code != 0 or function == DIAGNOSTICS:
-        return RequestForm(function & 0x7F, code, None, None, False, _words(None), _words(None))
-    reads = read(pdu) if function in COUPLER_MAP.reads else None
-    writes = written(pdu) if function in WRITING else None
-    concerned = writes or reads
-    assert concerned is not None
-    terminals = function in _BIT_FUNCTIONS or concerned.address < IDENTIFICATION
-    return RequestForm(function, 0, reads, writes, terminals, _words(reads), _words(writes))
-
-
-def _words(span: Span | None) -> struct.Struct:
-    return struct.Struct(f">{span.words if span else 0}H")
-
-
-def _bits_of(pdu: bytes, count: int) -> list[bool]:
-    """The bits that function code 5 or 15 writes."""
-    if pdu[0] == WRITE_COIL:
-        return [pdu[3] != 0]
-    return [bool(pdu[6 + at // 8] >> at % 8 & 1) for at in range(count)]
-
-
-def _packed(bits: Sequence[bool]) -> bytes:
-    """Eight bits a byte, the first in the lowest place."""
-    number = sum(1 << at for at, bit in enumerate(bits) if bit)
-    return number.to_bytes((len(bits) + 7) // 8, "little")
+        return ((getattr(self.statistics, name) - self._counted_from[name]) & 0xFFFF,)

@@ -116,7 +116,7 @@ class CouplerImage:
         word = self._sensor_words()[_STATUS_WORD] if function == READ_DISCRETE else self._outputs[-1]
         return [bool(word >> at & 1) for at in range(address, address + count)]
 
-    def write_bits(self, address: int, bits: Sequence[bool]) -> None:
+    def write_bits(self, address: int, bits: Sequence[int]) -> None:
         """Sets digital outputs."""
         word = self._outputs[-1]
         for at, bit in enumerate(bits, address):

@@ -7,7 +7,6 @@ true spools, on the plant's clock, and by the status bits in its registers.
 
 import os
 import signal
-import struct
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from conformance.master import READ_HOLDING, Master, read_request
+from conformance.master import Master
 from foundation.configuration import merged, parse_overrides
 from plant_emulator.shell.recording import Recording, read_truth
 from protocol.errors import LinkLost
@@ -70,8 +69,7 @@ class Onlooker:
 
     def status(self) -> int:
         """The plant's status bits."""
-        answer = self._master.ask(read_request(READ_HOLDING, INPUT_ADDRESS, INPUT_WORDS))
-        return decode_sensors(list(struct.unpack(f">{INPUT_WORDS}H", answer[2:]))).status
+        return decode_sensors(self._master.words(INPUT_ADDRESS, INPUT_WORDS)).status
 
     def close(self) -> None:
         """Hang up."""

@@ -1,9 +1,10 @@
 """Our own coupler with one place of its source changed, and whether the coupler's suite notices.
 
 ``python -m tests.conformance.coupler.source_mutants`` changes each comparison, number, truth value, condition
-and statement of the coupler's core, one at a time, asks every case and prints a line for each module and each
-change that no case notices. Unlike the couplers broken by rule these were thought out by nobody; some change
-nothing that a master could see, so somebody has to read what is left. ``--module NAME``: only that module.
+and statement of what the coupler answers by, one at a time, asks every case and prints a line for each
+module and each change that no case notices. Unlike the couplers broken by rule these were thought out by
+nobody; some change nothing that a master could see, so somebody has to read what is left.
+``--module NAME``: only that module.
 """
 
 import argparse
@@ -23,9 +24,15 @@ from plant_emulator.shell.coupler import Coupler
 from tests.conformance.coupler_mutant_report import shifted_clock
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 
-CORE = "plant_emulator.core.coupler"
-MODULES = ("modbus_requests", "request_stream", "watchdog", "image", "answers")
-SHELL = ("plant_emulator.shell.coupler_connection", "plant_emulator.shell.coupler")
+MODULES = (
+    "foundation.modbus",
+    "plant_emulator.core.coupler.modbus_requests",
+    "plant_emulator.core.coupler.watchdog",
+    "plant_emulator.core.coupler.image",
+    "plant_emulator.core.coupler.answers",
+    "plant_emulator.shell.modbus_pdus",
+)
+AROUND = ("plant_emulator.shell.coupler_connection", "plant_emulator.shell.coupler")  # imported anew too
 _OTHER_COMPARISON: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
@@ -42,9 +49,8 @@ class Change(NamedTuple):
 
 
 def changes(module: str) -> Iterator[Change]:
-    """Every change of a module of the coupler's core."""
-    path = Path(*CORE.split("."), f"{module}.py")
-    tree = ast.parse(path.read_text())
+    """Every change of a module."""
+    tree = ast.parse(Path(*module.split(".")).with_suffix(".py").read_text())
     nodes = list(ast.walk(tree))
     for at, node in enumerate(nodes):
         for number in range(_count(node)):
@@ -97,18 +103,18 @@ def _change(node: Any, number: int) -> None:
 
 
 def built(change: Change) -> type[Coupler]:
-    """The coupler's class with ``change`` in its core. Raises what a module raises that cannot even begin."""
-    names = [*(f"{CORE}.{name}" for name in MODULES), *SHELL]
+    """The coupler's class with ``change`` in it. Raises what a module raises that cannot even begin."""
+    names = [*MODULES, *AROUND]
     kept = {name: sys.modules.pop(name) for name in names if name in sys.modules}
     try:
         for name in names:
-            if name == f"{CORE}.{change.module}":
+            if name == change.module:
                 module = ModuleType(name)
                 sys.modules[name] = module
                 exec(compile(change.tree, name, "exec"), vars(module))
             else:
                 importlib.import_module(name)
-        return sys.modules[SHELL[1]].Coupler  # type: ignore[no-any-return]
+        return sys.modules[AROUND[1]].Coupler  # type: ignore[no-any-return]
     finally:
         for name in names:
             sys.modules.pop(name, None)
@@ -151,9 +157,9 @@ def main() -> None:
                 counts[module, "noticed" if case > 0 else "not noticed" if case == 0 else "no module"] += 1
                 print(f"{case:>4} {module}:{change.line}  {change.what}", file=sys.stderr, flush=True)
                 if case == 0:
-                    print(f"not noticed: {module}.py:{change.line}  {change.what}", flush=True)
+                    print(f"not noticed: {module}:{change.line}  {change.what}", flush=True)
     for (module, outcome), count in sorted(counts.items()):
-        print(f"{module:>16} {outcome:>12} {count:>5}")
+        print(f"{module:>44} {outcome:>12} {count:>5}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import itertools
 import socket
 import struct
 import time
@@ -17,7 +16,6 @@ from plant_emulator.core.places import who_yields
 from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
-from protocol.coupler_registers import ModbusStream
 from protocol.process_image import ValveImage, encode_valves
 from tests.support.pages import page, rows
 
@@ -303,17 +301,20 @@ async def test_one_connection_is_taken_a_step(bench: Bench) -> None:
     assert max(taken) == 1
 
 
-def test_a_stream_holds_no_more_than_one_piece_and_a_part_of_a_request() -> None:
-    stream, held = ModbusStream(), []
-    for piece in itertools.repeat(READ * 20 + READ[:5] + READ[5:], 50):
-        stream.add(piece)
-        while stream.next() is not None:
-            pass
-        held.append(len(stream))
-    stream.add(READ[:-1])
-    assert stream.next() is None
-    assert max(held) == 0
-    assert len(stream) == len(READ) - 1
+async def test_a_connection_holds_no_more_than_one_piece_and_a_part_of_a_request(bench: Bench) -> None:
+    sock = await bench.master()
+    (connection,) = bench.coupler._connections
+    held = 0
+    pending = READ * 1000 + READ[:-1]
+    while pending or bench.coupler.statistics.requests < 1000:
+        with contextlib.suppress(BlockingIOError):
+            pending = pending[sock.send(pending) :]
+        with contextlib.suppress(BlockingIOError):
+            sock.recv(1 << 16)
+        await asyncio.sleep(0)
+        held = max(held, len(connection._held))
+    assert SLICE * len(READ) < held < 4096 + len(READ)
+    await bench.until(lambda: connection._held == READ[:-1])
 
 
 @dataclass

@@ -4,7 +4,8 @@ import struct
 
 import pytest
 
-from plant_emulator.core.coupler.modbus_requests import RegisterMap, Span, exception_for, written
+from plant_emulator.core.coupler.modbus_requests import RegisterMap, Span
+from plant_emulator.shell.modbus_pdus import request_of
 
 IN, OUT, CONFIGURATION = Span(0, 40), Span(0x800, 12), Span(0x1120, 3)
 MAP = RegisterMap(
@@ -114,7 +115,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("pdu", SOUND, ids=bytes.hex)
 def test_sound_requests_pass(pdu: bytes) -> None:
-    assert exception_for(pdu, MAP) == 0
+    assert MAP.exception_for(request_of(pdu)) == 0
 
 
 @pytest.mark.parametrize(
@@ -129,11 +130,11 @@ def test_sound_requests_pass(pdu: bytes) -> None:
     ids=lambda value: value.hex() if isinstance(value, bytes) else None,
 )
 def test_what_a_request_changes(pdu: bytes, span: Span) -> None:
-    assert written(pdu) == span
+    assert request_of(pdu).writes == span
 
 
 @pytest.mark.parametrize(
     ("pdu", "code"), REFUSED, ids=lambda value: value.hex()[:24] if isinstance(value, bytes) else None
 )
 def test_unsound_requests_are_refused(pdu: bytes, code: int) -> None:
-    assert exception_for(pdu, MAP) == code
+    assert MAP.exception_for(request_of(pdu)) == code

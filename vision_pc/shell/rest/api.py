@@ -8,9 +8,9 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
-from foundation.problems import MEDIA_TYPE, problem
 from foundation.rest.docs_page import add_docs
 from foundation.rest.home import Home, run_endpoints_at
+from foundation.rest.problems import MEDIA_TYPE, problem
 from foundation.rest.refusals import respond
 from foundation.rest.server import install_problems
 from protocol.faults import CommandCode

@@ -3,7 +3,7 @@
 from http import HTTPStatus
 from typing import Any
 
-from foundation import problems
+from foundation.rest import problems
 
 STATUS_OF_CAUSE = {
     "refused.unknown_operation": HTTPStatus.NOT_FOUND,

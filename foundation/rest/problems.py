@@ -1,4 +1,4 @@
-"""Problem documents (RFC 9457) with a machine-readable ``cause``; ``foundation.rest`` serves them."""
+"""Problem documents (RFC 9457) with a machine-readable ``cause``."""
 
 from collections.abc import Mapping
 from http import HTTPStatus

@@ -1,16 +1,16 @@
-"""Runs in lockstep whose event logs are pinned by their digests: what a change that changes nothing keeps.
+"""Runs in lockstep that change when behaviour changes: what they did is pinned, rounded, for every machine.
 
 Each recipe drives one world for a while: the demonstration with pictures, the corrected positioning on the
 crane and visual servoing with the eye model, and a guided hand-eye session with pictures.
 """
 
-import importlib.metadata
 import json
+import sys
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-import llvmlite.binding
+import numpy as np
 
 from testbed.demonstration.sequence import Recorder, demonstrate
 from testbed.experiments.positioning.corrected_run import operate, prepared
@@ -18,6 +18,7 @@ from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.world import TRUTH_PERIOD_NS
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
@@ -25,23 +26,23 @@ from tests.vision_pc.hand_eye.still_rig import still_settings
 
 RECIPES = ("standard", "paper", "hand_eye", "crane", "servoing")
 SEEDS = (1, 2, 3)
-PINNED = Path(__file__).parent / "lockstep_digests.json"
+PINNED = Path(__file__).parent / "lockstep_trajectories.json"
+_EVERY_NS = 2_000_000_000
 
 
 class Ran(NamedTuple):
-    """A run's event log, as its digest and length, and where the tool truly ended in W, m."""
+    """The digest of a run's event log, and the tool in W every 2 s and at the end (n, 3), m, truly."""
 
     digest: str
-    events: int
-    tool_m: tuple[float, float, float]
+    tool_m: list[list[float]]
 
 
 def ran(recipe: str, seed: int) -> Ran:
     """The outcome of one recipe with one seed."""
     makers = {"hand_eye": _guided, "crane": _crane, "servoing": _servoing}
     rig = makers.get(recipe, _demonstration)(recipe, seed)
-    x, y, z = rig.world.plant.truth().X_WT[:3, 3].tolist()
-    return Ran(rig.world.log.digest(), len(rig.world.log.events), (x, y, z))
+    truths = [*rig.world.truths[:: _EVERY_NS // TRUTH_PERIOD_NS], rig.world.plant.truth()]
+    return Ran(rig.world.log.digest(), [truth.X_WT[:3, 3].tolist() for truth in truths])
 
 
 def _demonstration(scenario: str, seed: int) -> LockstepRig:
@@ -76,13 +77,19 @@ def _guided(_recipe: str, seed: int) -> GuidedRig:
     return rig
 
 
-def machine() -> dict[str, str]:
-    """What the last bit of a run depends on besides this project: the processor and the libraries."""
-    libraries = ("numpy", "scipy", "numba", "llvmlite", "opencv-python-headless", "ruckig", "clarabel")
-    versions = {name: importlib.metadata.version(name) for name in libraries}
-    return {"processor": llvmlite.binding.get_host_cpu_name(), **versions}
+def main(what: str) -> None:
+    """``digests``: print those of this checkout, to compare two checkouts on one machine; ``pin``: write the
+    trajectories anew, for a change that is meant to change them.
+    """
+    runs = {f"{recipe} {seed}": ran(recipe, seed) for recipe in RECIPES for seed in SEEDS}
+    if what == "digests":
+        for name, one in runs.items():
+            print(one.digest, name)
+        return
+    tracks = {name: np.round(one.tool_m, 5).tolist() for name, one in runs.items()}
+    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(track)}" for name, track in tracks.items())
+    PINNED.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
 
 
-if __name__ == "__main__":  # writes the pinned digests anew: a change that is meant to change them
-    runs = {f"{recipe} {seed}": ran(recipe, seed)._asdict() for recipe in RECIPES for seed in SEEDS}
-    PINNED.write_text(json.dumps({"machine": machine(), "runs": runs}, indent=1) + "\n", encoding="utf-8")
+if __name__ == "__main__":
+    main(*sys.argv[1:])
