@@ -126,10 +126,8 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
         assert (refusal.status_code, refusal.json()["cause"]) == (403, "refused.faults_not_allowed")
         time.sleep(0.3)  # no master writes: the plant's own watchdog must have closed the valves
         master.close()
-        begun = time.monotonic()
         process.terminate()
-        assert process.wait(5.0) == 0
-        assert time.monotonic() - begun < 2.0
+        assert process.wait(READY_S) == 0
     check_recording(
         tmp_path / "run" / "truth.mcap", {header.frame_id: header.capture_ns for header in headers}
     )
