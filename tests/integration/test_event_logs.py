@@ -12,7 +12,7 @@ from testbed.realtime.rest_rig import RestRig
 from tests.integration.services import running
 from tests.support.log_lines import assert_obeys
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 
 def test_lines_of_all_three_services_obey_one_schema(tmp_path: Path) -> None:

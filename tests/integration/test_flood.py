@@ -15,7 +15,7 @@ from testbed.experiments.robustness.controller_kills import KillRig, insist, tri
 from tests.integration.flood import flooding
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 RATE_HZ = 50_000.0
 

@@ -9,7 +9,7 @@ import pytest
 from testbed.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from tests.foundation.live.viewing import WITHIN_S, watching
 from tests.integration.services import Running, running
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 TABLES = {PLANT: OF_PLANT, CONTROLLER: OF_CONTROLLER, VISION: OF_VISION}
 # Told otherwise: shares and percentiles as counters and histograms, words and instants not at all.

@@ -12,7 +12,7 @@ import pytest
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.integration.services import ROOT, running
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 
 def wait_for(face: httpx.Client, path: str, status: int, within_s: float = 30.0) -> httpx.Response:

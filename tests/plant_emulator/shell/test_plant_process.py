@@ -24,7 +24,7 @@ from protocol.stereo_frame import HEADER_BYTES, decode_header
 from tests.plant_emulator.camera.camera_world import CONFIGS
 from tests.support.log_lines import assert_obeys
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 ANY_PORTS = (
     "plant_service.modbus.port=0",

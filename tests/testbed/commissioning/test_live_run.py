@@ -32,7 +32,7 @@ from testbed.scenarios.settings import Settings, load_settings
 from tests.controller.shell.plant_server import PlantServer, plant_server
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 READY_S = 60.0  # a first start compiles
 # The small plant answers in the loop of this test, on a machine that may be busy: patience with both.

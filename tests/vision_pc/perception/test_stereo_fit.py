@@ -50,6 +50,7 @@ def values(calibration: StereoCalibration) -> Array:
     return np.array([*found, *turn, *calibration.right_position_m])
 
 
+@pytest.mark.slow("a camera is fitted again and again")
 def test_the_camera_is_found_within_its_own_covariance() -> None:
     nees = []
     for seed in (1, 2, 3):

@@ -48,6 +48,7 @@ async def one_look(
     return arm, result
 
 
+@pytest.mark.slow("ten runs")
 async def test_one_look_inside_5_mm_over_seeds_and_the_measured_miss_is_true() -> None:
     errors, misses = [], []
     for seed in range(10):
