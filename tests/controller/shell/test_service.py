@@ -194,6 +194,7 @@ def _ports(server: PlantServer, *settings: str) -> tuple[str, ...]:
     return ("--set", *ports, *_PATIENT, *settings)
 
 
+@pytest.mark.slow("a controller starts as a process")
 async def test_a_motion_from_end_to_end_and_a_clean_exit(
     server: PlantServer, start: Start, connect: Connect, tmp_path: Path
 ) -> None:
@@ -236,6 +237,7 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
     assert counted == {topic.name for topic in TOPICS}
 
 
+@pytest.mark.slow("a controller starts as a process")
 async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
     server: PlantServer, start: Start, connect: Connect, tmp_path: Path
 ) -> None:
@@ -271,6 +273,7 @@ async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
     assert faults[-1] == FaultCode.REFERENCE_LINK_LOST
 
 
+@pytest.mark.slow("a controller starts as a process")
 async def test_sigterm_while_moving_ramps_down_and_centres(
     server: PlantServer, start: Start, connect: Connect
 ) -> None:

@@ -96,6 +96,7 @@ def gone(pid: int, within_s: float) -> bool:
     return False
 
 
+@pytest.mark.slow("a plant starts as processes")
 def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
     statistics = tmp_path / "statistics.json"
     with running("--record-dir", str(tmp_path / "run"), "--statistics", str(statistics)) as (process, ready):
@@ -140,6 +141,7 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
     assert figures["memory_at_end"]["plant_rss_mb"] > 10.0
 
 
+@pytest.mark.slow("a plant starts as processes")
 def test_faults_over_http_reach_fieldbus_camera_and_recording(tmp_path: Path) -> None:
     with running("--allow-faults", "--record-dir", str(tmp_path)) as (process, ready):
         assert ready["faults_allowed"] is True
@@ -210,6 +212,7 @@ def child(pid: int, module: str) -> int:
     raise AssertionError(f"no {module} among the children of {pid}")
 
 
+@pytest.mark.slow("a plant starts as processes")
 def test_a_killed_plant_takes_its_children_along() -> None:
     with running() as (process, ready):
         both = children(process.pid)
@@ -220,6 +223,7 @@ def test_a_killed_plant_takes_its_children_along() -> None:
         assert all(gone(pid, 30.0) for pid in both)
 
 
+@pytest.mark.slow("a plant starts as processes")
 def test_a_renderer_that_ends_by_itself_ends_the_plant() -> None:
     with running() as (process, _):
         os.kill(child(process.pid, "plant_emulator.shell.renderer"), signal.SIGKILL)
@@ -228,6 +232,7 @@ def test_a_renderer_that_ends_by_itself_ends_the_plant() -> None:
         assert "link.renderer_ended" in process.stderr.read()
 
 
+@pytest.mark.slow("a plant starts as processes")
 def test_a_plant_goes_on_without_its_fault_api() -> None:
     with running() as (process, ready):
         os.kill(child(process.pid, "plant_emulator.shell.fault_api"), signal.SIGKILL)
@@ -286,6 +291,7 @@ def test_bad_configuration_is_one_line(
     assert named in line
 
 
+@pytest.mark.slow("a plant starts as processes")
 def test_a_recording_that_exists_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "truth.mcap").write_bytes(b"precious")
     assert "configuration.recording" in refused(ANY_PORTS, ("--record-dir", str(tmp_path)))

@@ -168,6 +168,7 @@ async def test_another_motion_overtakes(link: ReferenceLink, arm: LinkArm) -> No
     assert refused.value.cause == "refused.overtaken"
 
 
+@pytest.mark.slow("a swinging arm is waited for")
 async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_reference_serves(
     link: ReferenceLink, controller: LoopbackController
 ) -> None:
