@@ -20,7 +20,7 @@ from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
 
 pytestmark = [
-    pytest.mark.realtime("processes"),
+    pytest.mark.realtime,
     pytest.mark.timeout(400),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]

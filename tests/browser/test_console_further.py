@@ -23,7 +23,7 @@ from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import Look
 
 pytestmark = [
-    pytest.mark.realtime("processes"),
+    pytest.mark.realtime,
     pytest.mark.timeout(400),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]

@@ -18,7 +18,7 @@ from tests.browser.open_console import eventually, opened
 from tests.support.paths import ROOT
 
 pytestmark = [
-    pytest.mark.realtime("processes"),
+    pytest.mark.realtime,
     pytest.mark.timeout(900),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]

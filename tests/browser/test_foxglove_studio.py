@@ -104,7 +104,7 @@ def test_a_merged_recording_is_drawn_with_the_layout_in_it(browser: Browser, mer
         assert complaints == []
 
 
-@pytest.mark.realtime("processes")
+@pytest.mark.realtime
 def test_a_running_machine_is_drawn_live(browser: Browser, tmp_path: Path) -> None:
     with (
         served(layout_text()) as origin,

@@ -21,7 +21,7 @@ from tests.browser.test_console import eventually, opened, serious
 from tests.testbed.lockstep.recorded_run import CONTROLLER_FILE, FILES, recorded_run
 
 pytestmark = [
-    pytest.mark.realtime("processes"),
+    pytest.mark.realtime,
     pytest.mark.timeout(400),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]

@@ -26,6 +26,7 @@ def not_passed(summary: Summary) -> dict[int, str]:
     }
 
 
+@pytest.mark.slow("a compiled controller answers the whole suite")
 def test_in_simulated_time_it_passes_every_case(tmp_path: Path, network: SimulatedNetwork) -> None:
     with SimulatedCController(compiled(tmp_path, *LIBRARY), network) as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=UNSIGNED, motion=True)
@@ -55,6 +56,7 @@ def test_the_suite_catches_it_when_it_is_broken(
     assert set(not_passed(summary)) == {case}
 
 
+@pytest.mark.slow("a compiled controller answers the whole suite")
 @pytest.mark.realtime
 def test_as_a_program_it_passes_a_case_of_each_subject(tmp_path: Path) -> None:
     with running(compiled(tmp_path)) as port:

@@ -87,6 +87,7 @@ def test_nobody_at_the_port_is_one_line_and_status_2(brief: None) -> None:
         assert "link.no_answer" in one_line("coupler", "--port", str(listening.getsockname()[1]))
 
 
+@pytest.mark.slow("the suite runs over and over")
 @simulated
 def test_a_session_of_another_client_is_found_before_the_first_case() -> None:
     with ControllerUnderTest() as controller:
@@ -281,6 +282,7 @@ class Basic(WithoutOptions, DropsSigned):
     """Has no optional part but motion."""
 
 
+@pytest.mark.slow("the suite runs over and over")
 @simulated
 @pytest.mark.parametrize("kind", [Basic, NotToBeEnabled])
 def test_who_lacks_optional_parts_fails_no_case(kind: type[ControllerUnderTest]) -> None:

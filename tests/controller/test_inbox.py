@@ -164,6 +164,7 @@ def test_a_repetition_does_not_push_out_the_newer_stop_before_it() -> None:
     assert [command_id for _, command_id in arrivals.take(A_CYCLE)] == [40]
 
 
+@pytest.mark.slow("50,000 requests are encoded")
 @pytest.mark.parametrize("whole", [False, True], ids=["in slices, moving", "all at once, stopping"])
 def test_an_emergency_stop_behind_50_000_requests_centres_the_valves_within_three_scans(whole: bool) -> None:
     bench = Bench(settings()).moving()

@@ -92,6 +92,7 @@ def test_case_32_a_marker_of_the_wrong_id_or_size_is_refused(
     assert fails_without_motion(rig, registers, "orientation-adjustment").cause in causes
 
 
+@pytest.mark.slow("a whole trajectory in lockstep")
 def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_nothing_is_built_on_it() -> None:
     quick = ("controller.settled.time_ms=200", "vision.programs.trajectory.dwell_s=0.3")
     settings = settings_of(1, (*quick, "vision.programs.trajectory.condition_limit=1.5"))
@@ -159,6 +160,7 @@ async def test_case_37_a_post_repeated_with_one_key_is_one_motion() -> None:
         assert (other.status_code, other.json()["cause"]) == (422, "refused.key_reused")
 
 
+@pytest.mark.slow("many motions, each cancelled at another time")
 @pytest.mark.realtime
 async def test_case_38_a_cancel_that_races_with_completion_leaves_exactly_one_end_state() -> None:
     async with live() as rig:

@@ -18,6 +18,7 @@ def test_no_folder_has_more_than_twenty_rooms() -> None:
     assert {folder: count for folder, count in ROOMS.items() if count > measures.MAX_ROOMS} == {}
 
 
+@pytest.mark.slow("every source is parsed")
 def test_no_modules_and_no_rooms_of_any_folder_import_in_a_circle(every: list[measures.Module]) -> None:
     arrows = measures.imports(every)
     assert measures.circles(arrows) == []

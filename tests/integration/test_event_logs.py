@@ -12,9 +12,10 @@ from testbed.realtime.rest_rig import RestRig
 from tests.integration.services import running
 from tests.support.log_lines import assert_obeys
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 
+@pytest.mark.slow("three services start")
 def test_lines_of_all_three_services_obey_one_schema(tmp_path: Path) -> None:
     with running(tmp_path) as rig:
         face = RestRig(rig.launch.rest_url)

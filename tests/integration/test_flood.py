@@ -15,7 +15,7 @@ from testbed.experiments.robustness.controller_kills import KillRig, insist, tri
 from tests.integration.flood import flooding
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 RATE_HZ = 50_000.0
 
@@ -26,6 +26,7 @@ def moved(rig: KillRig, offset_m: tuple[float, float, float]) -> State:
     return rig.client.until(lambda s: max(map(abs, s.valves)) > 0.01, 3.0)
 
 
+@pytest.mark.slow("services start")
 @pytest.mark.timeout(300)
 def test_case_19_a_flood_leaves_the_motion_alone_and_stop_works(tmp_path: Path) -> None:
     with trial_rig(CONFIGS, [], tmp_path) as (launch, rig):

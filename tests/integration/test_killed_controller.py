@@ -9,7 +9,7 @@ import pytest
 from testbed.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +21,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return made
 
 
+@pytest.mark.slow("three services start")
 @pytest.mark.timeout(300)
 def test_case_35_a_killed_controller_is_stopped_by_the_plants_watchdog(rows: list[dict[str, Any]]) -> None:
     killed = [row for row in rows if row["kind"] == KILL]

@@ -19,7 +19,7 @@ from tests.foundation.live.viewing import WITHIN_S, watching
 from tests.integration.services import Running, running
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 TABLES = {PLANT: OF_PLANT, CONTROLLER: OF_CONTROLLER, VISION: OF_VISION}
 # Told otherwise: shares and percentiles as counters and histograms, words and instants not at all.
@@ -34,6 +34,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         yield started
 
 
+@pytest.mark.slow("three services start")
 async def test_every_part_is_shown_with_its_schemas(rig: Running) -> None:
     assert rig.launch.foxglove is not None
     async with watching(rig.launch.foxglove) as viewer:
@@ -53,6 +54,7 @@ async def test_every_part_is_shown_with_its_schemas(rig: Running) -> None:
     assert len(latest["/scene"].entities) > 5
 
 
+@pytest.mark.slow("three services start")
 async def test_a_look_is_shown_as_vision_told_it(rig: Running) -> None:
     assert rig.launch.foxglove is not None
     async with (

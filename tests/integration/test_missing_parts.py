@@ -12,7 +12,7 @@ import pytest
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.integration.services import ROOT, running
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 
 def wait_for(face: httpx.Client, path: str, status: int, within_s: float = 30.0) -> httpx.Response:
@@ -25,6 +25,7 @@ def wait_for(face: httpx.Client, path: str, status: int, within_s: float = 30.0)
         time.sleep(0.1)
 
 
+@pytest.mark.slow("services start")
 def test_without_a_plant_nothing_can_be_enabled_and_camera_and_plant_are_named(tmp_path: Path) -> None:
     with running(tmp_path, only=(CONTROLLER, VISION)) as rig:
         state = wait_for(rig.face, "/state", 200).json()
@@ -40,6 +41,7 @@ def test_without_a_plant_nothing_can_be_enabled_and_camera_and_plant_are_named(t
         assert look.json()["cause"] == "link.camera_missing"
 
 
+@pytest.mark.slow("services start")
 def test_without_a_controller_the_face_says_so(tmp_path: Path) -> None:
     with running(tmp_path, only=(VISION,)) as rig:
         state = rig.face.get("/state")
@@ -49,6 +51,7 @@ def test_without_a_controller_the_face_says_so(tmp_path: Path) -> None:
         assert rig.face.post("/enable").status_code == 503
 
 
+@pytest.mark.slow("services start")
 def test_a_plant_that_is_killed_stops_the_controller_with_a_latched_cause(tmp_path: Path) -> None:
     with running(tmp_path) as rig:
         wait_for(rig.face, "/health", 200, 60.0)
@@ -62,6 +65,7 @@ def test_a_plant_that_is_killed_stops_the_controller_with_a_latched_cause(tmp_pa
         assert rig.face.post("/operations/move", json={"offset_base_m": [0, 0.1, 0]}).status_code == 409
 
 
+@pytest.mark.slow("services start")
 def test_up_tells_where_things_run_and_ends_cleanly_on_sigterm(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "testbed.cli", "up", "--free-ports", "--out", str(tmp_path)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as up:

@@ -22,7 +22,7 @@ from tests.support.paths import ROOT
 _PLACES = os.pathsep.join((str(Path(sys.prefix) / "prometheus/usr/bin"), os.environ.get("PATH", os.defpath)))
 PROMETHEUS, PROMTOOL = (shutil.which(name, path=_PLACES) for name in ("prometheus", "promtool"))
 pytestmark = [
-    pytest.mark.realtime("processes"),
+    pytest.mark.realtime,
     pytest.mark.skipif(PROMETHEUS is None, reason="no Prometheus here (make prometheus)"),
 ]
 _WITHIN_S, _SCRAPES = 60.0, 8

@@ -69,6 +69,7 @@ def trial(peer: Peer, dy_m: float, *, stopping: bool) -> int:
     raise AssertionError("the emergency stop was not obeyed within 5 s")
 
 
+@pytest.mark.slow("services start")
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "trials", [pytest.param(3, marks=pytest.mark.realtime), pytest.param(100, marks=pytest.mark.experiment)]

@@ -17,7 +17,7 @@ LIMIT = 3
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put slow files first and real time last, and give tests in real time their second try."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: 2 if _in_real_time(item) else 0 if item.path in slow else 1)
+    items.sort(key=lambda item: (_in_real_time(item), item.path not in slow))
     for item in items:
         if _in_real_time(item):
             item.add_marker(pytest.mark.flaky(reruns=1))

@@ -4,6 +4,7 @@ warping.
 It shares no code with the plant's stereo camera, so that a mistake in either cannot hide in both.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -126,13 +127,19 @@ def wall_texture(seed: int, contrast: float, size: int = 2000) -> Array:
     """A band-limited random texture (size, size) with edges and blobs at several scales, about
     ±``contrast`` std.
     """
+    total = _pattern(seed, size)
+    return np.asarray(118.0 + contrast * total / total.std(), dtype=np.float32)
+
+
+@functools.lru_cache(maxsize=4)
+def _pattern(seed: int, size: int) -> Array:
     generator = np.random.default_rng(seed)
     total = np.zeros((size, size), dtype=np.float32)
     for sigma in (1.5, 3.0, 6.0, 12.0, 30.0):
         field = cv2.GaussianBlur(generator.standard_normal((size, size)).astype(np.float32), (0, 0), sigma)
         field /= field.std()
         total += np.tanh(3.0 * field)
-    return np.asarray(118.0 + contrast * total / total.std(), dtype=np.float32)
+    return total
 
 
 def draw_wall(eye: CameraModel, shape: tuple[int, int], texture: Array, texel: float, X_CW: Array) -> Array:

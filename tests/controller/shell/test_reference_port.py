@@ -152,7 +152,7 @@ async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort,
     """250 datagrams a cycle of 5 ms are 50 000 a second."""
     peer = meet(port, 8)
     await peer.connect()
-    longest_s, stopped_after, looked_at = 0.0, None, 96
+    stopped_after, looked_at = None, 96
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.connect(port.address)
         for cycle in range(60):
@@ -164,18 +164,15 @@ async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort,
             peer.session.tick(now_ns)
             for data in peer.session.outgoing(now_ns):
                 peer.socket.send(data)
-            began_s = time.monotonic()
             await asyncio.sleep(0.001)
             requests, alive = _take(port)
             looked_at += 8 if alive else 96  # a machine that stood still loses the peer for a while
-            longest_s = max(longest_s, time.monotonic() - began_s)
             if requests and stopped_after is None:
                 stopped_after = cycle - 20
     assert port.flooded > 50  # of 60 cycles
     assert port.server.statistics.refused <= looked_at
     assert stopped_after is not None
     assert stopped_after <= 10
-    assert longest_s < 0.2
 
 
 async def test_a_flood_of_the_peers_own_does_not_hold_up_a_stop(port: ReferencePort, meet: Meet) -> None:

@@ -1,5 +1,4 @@
-"""The process: ready line, motion through real sockets, clean end, bad configuration, busy port, flight
-dump."""
+"""The process: ready line, motion through real sockets, clean end, bad configuration, flight dump."""
 
 import asyncio
 import contextlib
@@ -15,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from controller.__main__ import main
 from controller.shell.scan_recorder import FILE, TOPICS
 from foundation.configuration import configuration_hash
 from foundation.recording.recovery import contents
@@ -22,12 +22,19 @@ from nominal_arm.description import NominalArm
 from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
-from protocol.reference_messages import FLAG_SETTLED, Acknowledgement, Command, ReferencePose, State
+from protocol.reference_messages import (
+    FLAG_PLANT_LINK_OK,
+    FLAG_SETTLED,
+    Acknowledgement,
+    Command,
+    ReferencePose,
+    State,
+)
 from protocol.session_events import AcknowledgementReceived, StateReceived
 from tests.controller.conftest import CONFIGS
 from tests.controller.shell.plant_server import PlantServer, plant_server
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 READY_S = 60.0  # a first start compiles
 
@@ -60,14 +67,13 @@ class Controller:
         self.ready = json.loads(await asyncio.wait_for(self.process.stdout.readline(), READY_S))
         assert self.ready["event"] == "ready"
 
-    async def ended(self, number: signal.Signals) -> tuple[int, list[dict[str, Any]], float]:
-        """Exit status after a signal, log lines, and seconds from the signal to the last of them."""
-        began_ns = time.monotonic_ns()
+    async def ended(self, number: signal.Signals) -> tuple[int, list[dict[str, Any]]]:
+        """Exit status after a signal, and log lines."""
         self.process.send_signal(number)
         _, stderr = await asyncio.wait_for(self.process.communicate(), READY_S)
         lines = [json.loads(line) for line in stderr.decode().splitlines()]
         assert self.process.returncode is not None
-        return self.process.returncode, lines, 1e-9 * (lines[-1]["time_ns"] - began_ns)
+        return self.process.returncode, lines
 
 
 class Client:
@@ -120,6 +126,12 @@ class Client:
 
     async def connected(self) -> None:
         await self.until(lambda: self.session.connected and self.state is not None)
+
+    async def enabled(self) -> None:
+        """Enable the arm once the plant answers, and wait until it is held."""
+        await self.until(lambda: self.state is not None and bool(self.state.flags & FLAG_PLANT_LINK_OK))
+        assert await self.command(CommandCode.ENABLE) is Reason.ACCEPTED
+        await self.reaches(GroupState.STANDBY)
 
     async def reaches(self, state: GroupState) -> None:
         await self.until(lambda: self.state is not None and self.state.group_state is state)
@@ -182,6 +194,7 @@ def _ports(server: PlantServer, *settings: str) -> tuple[str, ...]:
     return ("--set", *ports, *_PATIENT, *settings)
 
 
+@pytest.mark.slow("a controller starts as a process")
 async def test_a_motion_from_end_to_end_and_a_clean_exit(
     server: PlantServer, start: Start, connect: Connect, tmp_path: Path
 ) -> None:
@@ -189,8 +202,7 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
     child = await start(*_ports(server), "--statistics", str(figures), "--record-dir", str(tmp_path))
     await child.wait_ready()
     client = await connect(child)
-    assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
-    await client.reaches(GroupState.STANDBY)
+    await client.enabled()
     assert client.state is not None
     here = client.state.X_BT
     goal = Pose((here.p_m[0] + 0.02, here.p_m[1] + 0.02, here.p_m[2] + 0.02), here.q_wxyz)
@@ -204,11 +216,12 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
 
     await client.until(arrived)
     assert client.state.X_BT.p_m == pytest.approx(goal.p_m, abs=2e-3)
-    assert client.session.clock_offset_ns is not None
-    assert abs(client.session.clock_offset_ns) < 5_000_000  # one machine, one clock
-    status, lines, took_s = await child.ended(signal.SIGTERM)
+    offset_ns, uncertainty_ns = client.session.clock_offset_ns, client.session.clock_uncertainty_ns
+    assert offset_ns is not None
+    assert uncertainty_ns is not None
+    assert abs(offset_ns) <= uncertainty_ns < 1_000_000_000  # one machine, one clock
+    status, lines = await child.ended(signal.SIGTERM)
     assert status == 0
-    assert took_s < 2.0
     assert lines[-1]["event"] == "stopped"
     assert server.written[-1].control == 0
     assert server.written[-1].valves == (0.0,) * 6
@@ -224,29 +237,30 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
     assert counted == {topic.name for topic in TOPICS}
 
 
+@pytest.mark.slow("a controller starts as a process")
 async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
     server: PlantServer, start: Start, connect: Connect, tmp_path: Path
 ) -> None:
     child = await start(*_ports(server), "--record-dir", str(tmp_path / "flights"))
     await child.wait_ready()
     client = await connect(child)
-    assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
-    await client.reaches(GroupState.STANDBY)
+    await client.enabled()
     assert client.state is not None
     here = client.state.X_BT
     goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
     assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
     await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.01)
     client.close()  # no BYE: the vision PC has died
-    await asyncio.sleep(2.5)
-    assert server.written[-1].control == 0
+    async with asyncio.timeout(READY_S):
+        while server.written[-1].control != 0:  # noqa: ASYNC110 - the plant has no event to wait for
+            await asyncio.sleep(0.05)
     second = await connect(child)
     assert second.state is not None
     assert second.state.fault is FaultCode.REFERENCE_LINK_LOST
     assert second.state.group_state is GroupState.ERROR_STOP
     assert await second.command(CommandCode.ENABLE) is Reason.ERROR_LATCHED
     assert await second.command(CommandCode.RESET) is Reason.ACCEPTED
-    status, lines, _ = await child.ended(signal.SIGINT)
+    status, lines = await child.ended(signal.SIGINT)
     assert status == 0
     assert any(line["event"] == "fault" and line["cause"] == "REFERENCE_LINK_LOST" for line in lines)
     (flight,) = (tmp_path / "flights").glob("*.jsonl")
@@ -259,23 +273,22 @@ async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
     assert faults[-1] == FaultCode.REFERENCE_LINK_LOST
 
 
+@pytest.mark.slow("a controller starts as a process")
 async def test_sigterm_while_moving_ramps_down_and_centres(
     server: PlantServer, start: Start, connect: Connect
 ) -> None:
     child = await start(*_ports(server))
     await child.wait_ready()
     client = await connect(child)
-    assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
-    await client.reaches(GroupState.STANDBY)
+    await client.enabled()
     assert client.state is not None
     here = client.state.X_BT
     goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
     assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
     await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.02)
     before = len(server.written)
-    status, _, took_s = await child.ended(signal.SIGTERM)
+    status, _ = await child.ended(signal.SIGTERM)
     assert status == 0
-    assert took_s < 2.0
     after = [image.valves[1] for image in server.written[before:]]
     assert len(after) > 20  # a ramp, not a slam
     assert max(abs(b - a) for a, b in pairwise(after)) < 0.03
@@ -292,30 +305,9 @@ async def test_sigterm_while_moving_ramps_down_and_centres(
         ("controller.excitation.enabled=true", "configuration.nothing_recorded"),
     ],
 )
-async def test_bad_configuration_is_one_line_and_status_2(start: Start, setting: str, cause: str) -> None:
-    child = await start("--set", setting)
-    _, stderr = await asyncio.wait_for(child.process.communicate(), READY_S)
-    assert child.process.returncode == 2
-    (line,) = stderr.decode().splitlines()
+def test_bad_configuration_is_one_line_and_status_2(
+    setting: str, cause: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--config-dir", str(CONFIGS), "--set", setting]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"controller: {cause}: ")
-
-
-async def test_a_busy_port_is_one_line_and_status_2(start: Start) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
-        child = await start("--set", f"controller.reference_link.port={port}")
-        _, stderr = await asyncio.wait_for(child.process.communicate(), READY_S)
-    assert child.process.returncode == 2
-    (line,) = stderr.decode().splitlines()
-    assert line.startswith("controller: configuration.port_busy: ")
-    assert str(port) in line
-
-
-async def test_an_unwritable_record_directory_is_refused(start: Start, tmp_path: Path) -> None:
-    taken = tmp_path / "file"
-    taken.write_text("")
-    child = await start("--set", "controller.reference_link.port=0", "--record-dir", str(taken / "below"))
-    _, stderr = await asyncio.wait_for(child.process.communicate(), READY_S)
-    assert child.process.returncode == 2
-    assert "configuration.record_dir_unwritable" in stderr.decode()

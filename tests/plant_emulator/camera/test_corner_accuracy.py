@@ -70,6 +70,7 @@ def random_views(eyes: StereoCamera, count: int, seed: int) -> list[CameraView]:
     return [random_view(eyes.scene, generator) for _ in range(count)]
 
 
+@pytest.mark.slow("many pictures are drawn")
 def test_corners_over_random_poses(record_property: Callable[[str, object], None]) -> None:
     eyes = clean_camera()
     errors = corner_errors(eyes, random_views(eyes, POSES, seed=1))

@@ -23,6 +23,7 @@ def vision_config() -> VisionConfig:
     return load(VisionConfig, Path("configs/vision.yaml"))
 
 
+@pytest.mark.slow("pictures are drawn and followed")
 def test_a_recording_becomes_a_trajectory(vision_config: VisionConfig, tmp_path: Path) -> None:
     camera = intrinsics.calibration(vision_config.camera)
     true = [se3.transform(np.eye(3), (0.04 * k, 0.01 * k, 0.0)) for k in range(3)]
@@ -68,6 +69,7 @@ def lines(times_s: list[float], speed: float) -> str:
     return "".join(f"{t} {speed * t} 0 0 0 0 0 1\n" for t in times_s)
 
 
+@pytest.mark.slow("pictures are drawn and followed")
 def test_the_arms_poses_are_believed(vision_config: VisionConfig, tmp_path: Path) -> None:
     """The camera went 41 mm a pair: an arm that tells of as much agrees, one that rested does not."""
     between = [-0.05, 0.05, 0.15, 0.25]  # no pose at a pair's very time
@@ -80,6 +82,7 @@ def test_the_arms_poses_are_believed(vision_config: VisionConfig, tmp_path: Path
     assert "sudden_motion" in rested.output
 
 
+@pytest.mark.slow("pictures are drawn and followed")
 @pytest.mark.parametrize(
     ("tool", "said"),
     [

@@ -31,6 +31,7 @@ def one_look_mm(*assignments: str) -> float:
     return float(np.abs(true_error_mm(rig)[:2]).max())
 
 
+@pytest.mark.slow("a minute of arm time and a look")
 def test_a_commissioned_machine_ends_inside(tmp_path: Path) -> None:
     request = CommissionRequest(CONFIGS, parse_overrides(list(MACHINE)), ["slew"], tmp_path, 1, None)
     assert run_commission(request)

@@ -32,7 +32,7 @@ from testbed.scenarios.settings import Settings, load_settings
 from tests.controller.shell.plant_server import PlantServer, plant_server
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime("processes")
+pytestmark = pytest.mark.realtime
 
 READY_S = 60.0  # a first start compiles
 # The small plant answers in the loop of this test, on a machine that may be busy: patience with both.
@@ -74,6 +74,7 @@ def excited(live: LiveController, settings: Settings) -> object:
     return excite_live(live, settings, lambda recording: None, lambda progress, note: None)
 
 
+@pytest.mark.slow("services start")
 async def test_what_breaks_it_off_comes_back_and_the_valves_are_centred(tmp_path: Path) -> None:
     mode = ("controller.excitation.enabled=true", "controller.excitation.joints=[5]", DEAD)
     async with plant_server() as server, controller(server, tmp_path, *mode) as live:
@@ -91,6 +92,7 @@ async def test_what_breaks_it_off_comes_back_and_the_valves_are_centred(tmp_path
     assert max(sample.valve for sample in samples) > 0.003
 
 
+@pytest.mark.slow("services start")
 async def test_a_controller_that_only_servos_is_named(tmp_path: Path) -> None:
     async with plant_server() as server, controller(server, tmp_path) as live:
         with pytest.raises(ConfigurationError) as raised:
@@ -98,6 +100,7 @@ async def test_a_controller_that_only_servos_is_named(tmp_path: Path) -> None:
     assert raised.value.cause == "commissioning.no_trials"
 
 
+@pytest.mark.slow("services start")
 async def test_a_link_that_somebody_else_has_is_named(tmp_path: Path) -> None:
     mode = ("controller.excitation.enabled=true", "controller.excitation.joints=[5]")
     async with plant_server() as server, controller(server, tmp_path, *mode) as live:
@@ -109,6 +112,7 @@ async def test_a_link_that_somebody_else_has_is_named(tmp_path: Path) -> None:
     assert raised.value.cause == "commissioning.link_taken"
 
 
+@pytest.mark.slow("services start")
 async def test_a_controller_of_another_configuration_is_named(tmp_path: Path) -> None:
     mode = ("controller.excitation.enabled=true",)
     async with plant_server() as server, controller(server, tmp_path, *mode) as live:
@@ -143,6 +147,7 @@ async def left_behind(records: Path, settings: Settings, joint: int) -> None:
     await trials.close()
 
 
+@pytest.mark.slow("services start")
 async def test_what_the_vision_pc_let_be_tried_out_is_taken_with_its_plays(tmp_path: Path) -> None:
     assignments = ("controller.excitation.ramps=2", "plant.valves.deadband=0.02")
     overrides = parse_overrides(list(assignments))

@@ -31,6 +31,7 @@ from tests.support.paths import CONFIGS
 REQUEST = CampaignRequest(CONFIGS, Path("unused"), runs=2)
 
 
+@pytest.mark.slow("every changed world is drawn")
 def test_every_change_is_taken_by_a_drawn_world_and_told_to_nobody() -> None:
     drawn = draw(CONFIGS, 3, "plant", WORLDS[WorldName.LAB]).overrides
     plain = load_settings(CONFIGS, drawn)

@@ -108,6 +108,7 @@ def test_clutter_is_without_markers_and_not_plain() -> None:
     assert len(rejected) >= 5
 
 
+@pytest.mark.slow("a row of every kind is measured")
 def test_rows_of_every_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(one_picture_module, "_ROUNDS", 1)
     usual = {"family": FAMILY, "seed": 1}

@@ -82,6 +82,7 @@ def parked() -> Parked:
     return Parked(loop, told, within_s, settled_s, now_s, moved_mm, inches)
 
 
+@pytest.mark.slow("a minute of arm time")
 def test_an_arm_is_settled_when_it_will_stay_and_not_before(parked: Parked) -> None:
     """Inside its tolerance the arm still inches on; once it is told to be settled nothing does any more."""
     law = parked.loop.settings.parking

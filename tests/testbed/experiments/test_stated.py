@@ -40,6 +40,7 @@ def test_the_controller_takes_what_is_stated_of_mobile_valves(arm: str) -> None:
         assert 0.05 < told.raising.flow_gain.value < 1.0, "and smaller than the servo valves' of arm.yaml"
 
 
+@pytest.mark.slow("a campaign, small")
 def test_what_is_stated_errs_by_what_it_says() -> None:
     z = []
     for seed in range(12):

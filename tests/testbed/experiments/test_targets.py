@@ -121,6 +121,7 @@ def test_what_was_refused_counts_as_not_told_and_a_wrong_answer_fails() -> None:
     assert TARGETS.runs == 200
 
 
+@pytest.mark.slow("walls are drawn")
 def test_what_must_be_refused_is_clicked_as_on_the_console_and_a_hole_there_is_wrong(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

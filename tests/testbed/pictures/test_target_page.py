@@ -96,6 +96,7 @@ def test_a_marker_has_its_side_and_its_modules_and_is_found(tmp_path: Path, dict
     np.testing.assert_allclose(where, square, atol=0.05)
 
 
+@pytest.mark.slow("boards are drawn and found")
 def test_boards_have_their_squares_and_are_found(tmp_path: Path) -> None:
     assert printed(tmp_path / "a.pdf", "--board", "9x6", "--size-mm", "25").exit_code == 0
     size, drawn = page_of(tmp_path / "a.pdf")

@@ -15,6 +15,7 @@ from vision_pc.shell.recording.vision_messages import FrameMessage
 pytestmark = pytest.mark.realtime
 
 
+@pytest.mark.slow("processes draw frames")
 @pytest.mark.timeout(180)
 def test_frames_come_in_their_turn_until_the_process_dies(
     recorded: RecordedRun, monkeypatch: pytest.MonkeyPatch

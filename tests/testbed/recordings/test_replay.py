@@ -51,6 +51,7 @@ def request(path: Path, **given: Any) -> ReplayRequest:
     return ReplayRequest(path, None, [], None, None)._replace(**given)
 
 
+@pytest.mark.slow("a run is replayed with every pixel")
 @pytest.mark.parametrize("again", [False, True], ids=["pixels kept", "pixels rendered again"])
 def test_everything_comes_out_as_recorded(recorded: RecordedRun, again: bool) -> None:
     truth = recorded.directory / FILES[0]

@@ -99,6 +99,7 @@ def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, traces:
     assert json.loads((tmp_path / "events.jsonl").read_text().splitlines()[0]) == EVENTS[0]
 
 
+@pytest.mark.slow("a run, its figures and its report")
 def test_the_report_says_what_made_the_run_and_links_what_it_recorded(
     tmp_path: Path, traces: plots.Traces, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -323,6 +323,7 @@ def test_every_excuse_is_needed_and_has_a_reason(patterns: dict[str, str]) -> No
         assert len(reason) > 5
 
 
+@pytest.mark.slow("every file of the house is read")
 def test_every_coincidence_is_still_one() -> None:
     worlds = [settings_of(world) for world in WORLDS]
     pairs = [pair for world in worlds for pair in product(of_believed(world), of_hidden(world))]

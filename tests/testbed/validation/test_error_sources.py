@@ -26,6 +26,7 @@ def alone() -> dict[str, Finding]:
     return {finding.name: finding for finding in findings(CONFIGS, NOMINAL_LENS)}
 
 
+@pytest.mark.slow("a run for every source of error")
 def test_every_source_does_something_and_says_where_its_number_comes_from(alone: dict[str, Finding]) -> None:
     assert list(alone) == [source.name for source in sources(NOMINAL_LENS)]
     for finding in alone.values():

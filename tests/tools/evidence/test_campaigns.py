@@ -21,6 +21,7 @@ def made() -> dict[str, str]:
     return sections()
 
 
+@pytest.mark.slow("every row of every campaign is read")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_tables_are_those_of_the_rows(page: Path, made: dict[str, str]) -> None:
     text = page.read_text(encoding="utf-8")

@@ -41,6 +41,7 @@ def page_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cal
         sys.modules.pop(name, None)
 
 
+@pytest.mark.slow("a run in lockstep")
 def test_the_page_s_program_runs_in_lockstep(page_module: Callable[[str], Any]) -> None:
     run_it = page_module("run_it")
     assert 0.0 < max(abs(run_it.result.shift_m)) < 5e-3

@@ -75,6 +75,7 @@ def watched(
     return rig, rig.operate("valve-trials", {"confirmed": True}, bar)
 
 
+@pytest.mark.slow("a minute of arm time")
 def test_play_and_delay_are_found_and_the_arm_is_left_disabled() -> None:
     notes: list[str] = []
     rig, found = watched(
@@ -111,6 +112,7 @@ def test_a_controller_in_no_such_mode_is_named_and_not_enabled() -> None:
     assert [event for event in log.events if "STANDBY" in str(event)] == []  # it was never enabled
 
 
+@pytest.mark.slow("a minute of arm time")
 def test_a_silent_camera_costs_the_joint_that_was_tried_out_meanwhile() -> None:
     trials = ("controller.excitation.enabled=true", "controller.excitation.joints=[4, 5]")
     rig, found = watched(*trials, "controller.excitation.ramps=2", silent_after=100)

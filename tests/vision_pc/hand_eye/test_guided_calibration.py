@@ -38,6 +38,7 @@ async def begun(rig: StillRig, name: str = "monday") -> None:
     await rig.guided.sample(quiet)
 
 
+@pytest.mark.slow("a whole session")
 async def test_a_whole_session_finds_the_camera_in_the_hand(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -149,6 +149,7 @@ def test_the_last_joints_zero_is_doubt_about_the_camera() -> None:
     assert np.sqrt(np.trace(added[:2, :2])) == pytest.approx(0.003 * lever, rel=0.15)
 
 
+@pytest.mark.slow("a session is solved again and again")
 def test_errors_are_what_the_covariance_says() -> None:
     """Mean NEES of 60 draws in its band, zeros, tool, play and pictures all wrong; far off by noise alone."""
     arm = uncertainty(

@@ -38,6 +38,7 @@ def test_a_vague_fit_is_none() -> None:
     assert looks_right(picture_of(324), vague._replace(std_px=0.05), cells(324))
 
 
+@pytest.mark.slow("many pictures of an office")
 def test_pictures_of_an_office_hold_no_marker() -> None:
     """Two were found in 26 such pictures: a keyboard's keys and a screen's edge, in these."""
     try:

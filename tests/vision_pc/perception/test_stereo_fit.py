@@ -50,6 +50,7 @@ def values(calibration: StereoCalibration) -> Array:
     return np.array([*found, *turn, *calibration.right_position_m])
 
 
+@pytest.mark.slow("a camera is fitted again and again")
 def test_the_camera_is_found_within_its_own_covariance() -> None:
     nees = []
     for seed in (1, 2, 3):
@@ -66,6 +67,7 @@ def test_the_camera_is_found_within_its_own_covariance() -> None:
     assert 0.4 < np.mean(nees) < 2.0
 
 
+@pytest.mark.slow("a camera is fitted")
 def test_a_view_that_disagrees_is_left_out_by_name() -> None:
     views = views_of(4, 14)
     rng = np.random.default_rng(9)

@@ -37,6 +37,7 @@ def test_a_calibration_off_by_pixels_is_corrected(
     assert np.abs(se3.local(X_CM, seen.X_CM)[:3]).max() < 0.5e-3
 
 
+@pytest.mark.slow("many pictures are drawn")
 def test_frames_of_the_same_prints_do_not_make_the_offset_certain(
     camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
 ) -> None:

@@ -48,9 +48,10 @@ async def one_look(
     return arm, result
 
 
+@pytest.mark.slow("ten runs")
 async def test_one_look_inside_5_mm_over_seeds_and_the_measured_miss_is_true() -> None:
     errors, misses = [], []
-    for seed in range(20):
+    for seed in range(10):
         arm, result = await one_look(seed, MAP)
         error = arm.true_error(PROGRAMS.positioning.clearance_m)
         errors.append(np.abs(error[:2]).max())
@@ -64,7 +65,7 @@ async def test_one_look_inside_5_mm_over_seeds_and_the_measured_miss_is_true() -
 async def test_the_correction_is_what_helps_with_a_poor_map() -> None:
     """Driven in one go, every error of the map counts for the whole way."""
     corrected, single = [], []
-    for seed in range(10):
+    for seed in range(6):
         for errors, corrections in ((corrected, 1), (single, 0)):
             arm, _ = await one_look(seed, changed(leg_m=0.06, goal_std_limit_m=1.0), corrections)
             errors.append(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max())

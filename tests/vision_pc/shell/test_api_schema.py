@@ -56,6 +56,7 @@ def _try(
         asked()
 
 
+@pytest.mark.slow("every route is asked, rightly and wrongly")
 def test_no_request_is_answered_with_a_server_error() -> None:
     counts = answered(4)
     assert sum(counts.values()) > 80

@@ -29,6 +29,7 @@ def arguments(*settings: str) -> list[str]:
     return ["--config-dir", str(CONFIGS), *sets]
 
 
+@pytest.mark.slow("the service starts as a process")
 def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
     port = free_port()
     settings = [

@@ -42,6 +42,7 @@ def refused(sighted: object, click: Click) -> TargetRefused:
     return caught.value
 
 
+@pytest.mark.slow("a wall is drawn")
 @pytest.mark.parametrize("eye", ["left", "right"])
 def test_a_clicked_place_is_where_it_is_with_the_surfaces_normal(face: WallScene, eye: str) -> None:
     for place in ((-0.02, 0.05), (0.25, -0.10), (-0.30, -0.12)):

@@ -75,6 +75,7 @@ def test_it_is_not_found_on_another_wall(taught: TargetObservation) -> None:
     assert caught.value.cause in ("target.not_found", "target.ambiguous")
 
 
+@pytest.mark.slow("three walls are drawn and searched")
 def test_what_looks_like_another_place_is_not_taught_and_not_found() -> None:
     cells = np.tile(rock(seed=5)[:250, :250], (8, 8))[:SIZE, :SIZE]  # the same every 0.25 m
     tiled = scene(cells, BEFORE)
