@@ -13,7 +13,7 @@ import vision_pc.__main__
 from testbed.cli.main import main as command
 from testbed.realtime.supervisor import free_port
 from tests.integration.services import run_service
-from tests.support.paths import CONFIGS, ROOT
+from tests.support.paths import CONFIGS
 
 MAINS: dict[str, Callable[[list[str]], int]] = {
     "plant_emulator": plant_emulator.__main__.main,
@@ -143,9 +143,11 @@ def test_a_service_is_a_program() -> None:
     ],
 )
 def test_the_command_answers_mistakes_in_one_line(
-    arguments: list[str], cause: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(ROOT)
+    arguments: list[str], cause: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    (tmp_path / "configs").symlink_to(CONFIGS)
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["longreach", *arguments])
     with pytest.raises(SystemExit) as ended:
         command()

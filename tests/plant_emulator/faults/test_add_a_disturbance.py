@@ -1,7 +1,6 @@
 """docs/how_to/add_a_disturbance.md does what it says: its scenario is drawn, its fault is injected."""
 
 import re
-import shutil
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,7 +11,7 @@ from plant_emulator.core import plant as plant_module
 from plant_emulator.core.faults import effects, kinds
 from protocol.errors import ConfigurationError
 from tests.support.pages import page
-from tests.support.paths import CONFIGS, ROOT
+from tests.support.paths import ROOT, copied_configs
 
 TEXT = page("how_to/add_a_disturbance.md")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
@@ -22,10 +21,10 @@ SCENARIO = re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)[0]
 @pytest.fixture
 def configs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the configuration in the working directory, with the page's scenario in it."""
-    shutil.copytree(CONFIGS, tmp_path / "configs")
-    (tmp_path / "configs" / "scenarios" / "hot_oil.yaml").write_text(SCENARIO, encoding="utf-8")
+    configs = copied_configs(tmp_path / "configs")
+    (configs / "scenarios" / "hot_oil.yaml").write_text(SCENARIO, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    return tmp_path / "configs"
+    return configs
 
 
 def test_the_page_s_scenario_draws_a_hot_and_heavy_world(configs: Path) -> None:

@@ -31,17 +31,13 @@ from testbed.realtime.live_client import LiveClient
 from testbed.scenarios.settings import Settings, load_settings
 from tests.controller.shell.plant_server import PlantServer, plant_server
 from tests.support.paths import CONFIGS
+from tests.support.patience import PATIENT
 
 pytestmark = pytest.mark.realtime
 
 READY_S = 60.0  # a first start compiles
-# The small plant answers in the loop of this test, on a machine that may be busy: patience with both.
-PATIENT = (
-    "controller.plant_link.timeout_ms=1000",
-    "controller.supervision.overrun_ms=5000",
-    "controller.supervision.silence_ms=5000",
-    "controller.supervision.missed_exchanges=1000",
-    "controller.supervision.encoder_jump_deg=45",
+CONTROLLER = (
+    *PATIENT,
     "controller.reference_link.link_timeout_ms=20000",
     "controller.reference_link.port=0",
     "controller.fifo_priority=0",
@@ -50,12 +46,12 @@ DEAD = "controller.excitation.spool_max=0.004"  # the small plant moves from 0.0
 
 
 def settings_with(*assignments: str) -> Settings:
-    return load_settings(CONFIGS, parse_overrides([*PATIENT, *assignments]))
+    return load_settings(CONFIGS, parse_overrides([*CONTROLLER, *assignments]))
 
 
 @asynccontextmanager
 async def controller(server: PlantServer, records: Path, *assignments: str) -> AsyncIterator[LiveController]:
-    chosen = (*PATIENT, f"controller.plant_link.port={server.port}", *assignments)
+    chosen = (*CONTROLLER, f"controller.plant_link.port={server.port}", *assignments)
     command = (sys.executable, "-m", "controller", "--config-dir", str(CONFIGS), "--record-dir", str(records))
     process = await asyncio.create_subprocess_exec(
         *command, *(word for each in chosen for word in ("--set", each)),

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import socket
 import tomllib
 from pathlib import Path
@@ -13,7 +12,7 @@ from foundation.configuration import read_yaml
 from testbed.cli.doctor import examine
 from testbed.realtime import doctor
 from testbed.realtime.ports import PortUse
-from tests.support.paths import ROOT
+from tests.support.paths import ROOT, copied_configs
 
 
 def test_this_machine_is_examined_without_a_failure(tmp_path: Path) -> None:
@@ -89,8 +88,7 @@ def test_a_wrong_configuration_file_is_quoted(tmp_path: Path) -> None:
 
 def test_a_drawing_that_is_not_of_the_machine_is_named_and_no_shipped_arm_is(tmp_path: Path) -> None:
     """A longer boom in arm.yaml alone is a valid file, and sends the tool 0.2 m beside."""
-    configs = tmp_path / "configs"
-    shutil.copytree(ROOT / "configs", configs)
+    configs = copied_configs(tmp_path / "configs")
     assert drawing(configs, tmp_path)["verdict"] == "ok"
     assert drawing(configs / "arms" / "rock_breaker", tmp_path)["verdict"] == "ok"
     arm = configs / "arm.yaml"
