@@ -42,7 +42,7 @@ LABORATORY := $(addprefix tests/, \
 		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) perception/test_chance_markers.py \
 		shell/test_api_schema.py))
 
-.PHONY: help setup setup-dev demo test test-all pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -79,6 +79,9 @@ test: $(DEV_STAMP)  ## the product's tests, in three minutes on two cores (ARGS=
 
 test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages
 	@$(PYTEST) $(LABORATORY) $(ARGS)
+
+other-machines: $(DEV_STAMP)  ## numerical tests as four other processors compute, and with inputs off by 1e-9 (ARGS="nehalem 3", "--today")
+	PROCESSES=$(PROCESSES) $(BIN)/python -m tests.support.other_machines $(ARGS)
 
 coverage: $(DEV_STAMP)  ## which lines all tests run: a table, and coverage/index.html
 	$(PYTEST) --cov --cov-report=term:skip-covered --cov-report=html $(ARGS)

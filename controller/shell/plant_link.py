@@ -89,7 +89,7 @@ class PlantLink:
                 await self._reset_coupler(connection)
             return PlantRefusal(code)
         if not isinstance(answer, ReadWriteMultipleRegistersResponse) or len(answer.registers) != INPUT_WORDS:
-            came = answer and f"{len(answer.registers)} of {answer.function_code}"
+            came = f"{len(answer.registers)} of {answer.function_code}" if answer else "no sound answer"
             self._dropped("wrong_answer", f"{came}: wanted {INPUT_WORDS} words of function code {_EXCHANGE}")
             return None
         self.round_trip.add(time.monotonic_ns() - began_ns)

@@ -13,6 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
+import psutil
+
 from foundation.event_log import event_of, in_words
 from foundation.live.wire import SHARED_VARIABLE
 from foundation.recording.session import SESSION_VARIABLE
@@ -248,13 +250,10 @@ def _end_with_parent() -> None:
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-_STATES = {"T": "stopped by a signal", "R": "running", "D": "waiting for disk", "S": "waiting", "Z": "ended"}
-
-
 def process_state(pid: int) -> str:
     """What the kernel says that a process does."""
     try:
-        letter = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        letter = "Z"
-    return f"process {pid} is {_STATES.get(letter, letter)}"
+        state = psutil.Process(pid).status()
+    except psutil.NoSuchProcess:
+        state = "ended"
+    return f"process {pid} is {'stopped by a signal' if state == psutil.STATUS_STOPPED else state}"

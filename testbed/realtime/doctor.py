@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import psutil
+
 from protocol.errors import ConfigurationError
 from testbed.realtime.ports import PortUse
 
@@ -86,8 +88,7 @@ def cores_check() -> HealthCheck:
 
 def memory_check() -> HealthCheck:
     """How much memory can be had."""
-    fields = dict(re.findall(r"^(\w+):\s+(\d+) kB", Path("/proc/meminfo").read_text(), flags=re.MULTILINE))
-    available_mb = int(fields["MemAvailable"]) // 1024
+    available_mb = psutil.virtual_memory().available // 2**20
     good = available_mb >= WANTED_MEMORY_MB
     return HealthCheck(
         "memory",

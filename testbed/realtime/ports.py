@@ -1,10 +1,11 @@
 """The ports that services listen on: whether they are free, and who holds them where they are not."""
 
-import re
+import contextlib
 import socket
 from collections.abc import Iterable
-from pathlib import Path
 from typing import NamedTuple
+
+import psutil
 
 from protocol.errors import ConfigurationError
 
@@ -47,22 +48,9 @@ def check_ports(uses: Iterable[PortUse]) -> None:
 
 def holder(port: int, kind: socket.SocketKind) -> str:
     """Words on the process of this machine that holds a port; empty where it may not be seen."""
-    transport = "tcp" if kind == socket.SOCK_STREAM else "udp"
-    inodes = {
-        fields[9]
-        for table in (Path(f"/proc/net/{transport}"), Path(f"/proc/net/{transport}6"))
-        if table.is_file()
-        for fields in map(str.split, table.read_text().splitlines()[1:])
-        if int(fields[1].rpartition(":")[2], 16) == port
-        and fields[3] in ("0A", "07")  # listening, unconnected
-    }
-    for handle in Path("/proc").glob("[0-9]*/fd/*"):
-        try:
-            found = re.fullmatch(r"socket:\[(\d+)\]", str(handle.readlink()))
-            if found and found.group(1) in inodes:
-                pid = handle.parts[2]
-                command = (Path("/proc") / pid / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
-                return f", held by process {pid} ({command[:80]})"
-        except OSError:
-            continue  # it has ended, or is somebody else's
+    for use in psutil.net_connections("tcp" if kind == socket.SOCK_STREAM else "udp"):
+        if use.pid and use.laddr and use.laddr.port == port and not use.raddr:
+            with contextlib.suppress(psutil.Error):  # it has ended, or is somebody else's
+                command = " ".join(psutil.Process(use.pid).cmdline())
+                return f", held by process {use.pid} ({command[:80]})"
     return ""

@@ -182,17 +182,31 @@ def lines(root: Path, pattern: str) -> int:
     return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in root.glob(pattern))
 
 
+def mass(root: Path) -> dict[str, int]:
+    """What a person who takes the house over has to read: lines, words and modules of a checkout."""
+    sources = [path for package in packages(root) for path in (root / package).rglob("*.py")]
+    pages = [path for pattern in ("*.md", "docs/**/*.md", "examples/**/*.md") for path in root.glob(pattern)]
+
+    def words(paths: list[Path]) -> int:
+        return sum(len(path.read_text(encoding="utf-8").split()) for path in paths)
+
+    return {
+        "modules": len(sources),
+        "lines of source": sum(len(path.read_text(encoding="utf-8").splitlines()) for path in sources),
+        "lines of tests": lines(root, "tests/**/*.py"),
+        "words of pages": words(pages),
+        "words of the README": words([root / "README.md"]),
+    }
+
+
 def main(root: Path) -> None:
     """Print the figures of the checkout at ``root``."""
     every = modules(root)
     arrows = imports(every)
+    for what, count in mass(root).items():
+        print(f"{what:<24}{count:>8}")
     for package in packages(root):
         print(f"{package:<16}{lines(root, f'{package}/**/*.py'):>7} lines")
-    shipped = [m for m in every if not m.name.startswith("tools")]
-    count = sum(len(m.text.splitlines()) for m in shipped)
-    print(f"{'all but tools':<16}{count:>7} lines, {len(shipped)} modules")
-    print(f"{'tests':<16}{lines(root, 'tests/**/*.py'):>7} lines")
-    print(f"{'docs':<16}{lines(root, 'docs/**/*.md') + lines(root, '*.md'):>7} lines")
     by_size = sorted(rooms(root).items(), key=lambda item: -item[1])
     for folder, count in by_size[:6]:
         inside = arrows_between_rooms(folder.replace("/", "."), arrows)

@@ -8,16 +8,18 @@ by an amount that the number K and the value itself choose: reruns with the same
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from controller.core import plant_watch
-from plant_emulator.core.camera.imager import Imager
+from plant_emulator.core.camera.exposures import Shot
+from plant_emulator.core.camera.stereo_camera import StereoCamera
 from tests.vision_pc import rendering
 from vision_pc.core.perception import intrinsics
+
+Grey = NDArray[np.uint8]
 
 SIZE = 1e-9
 
@@ -43,20 +45,21 @@ def disturb(number: int) -> None:
     normalised = intrinsics.normalised
     intrinsics.normalised = lambda eye, pixels: normalised(eye, off(np.asarray(pixels, np.float64)))
     plant_watch.RAD_PER_COUNT *= 1.0 + SIZE * float(np.sin(number))
-    Imager.sense = _one_grey_off(Imager.sense, number)  # type: ignore[method-assign]
+    StereoCamera.take_eye = _one_grey_off(StereoCamera.take_eye, number)  # type: ignore[assignment, method-assign]
     finish = rendering.finish
     rendering.finish = lambda *args, **named: _off_by_one(finish(*args, **named), number)
 
 
-def _one_grey_off(sense: Callable[..., None], number: int) -> Callable[..., None]:
-    def disturbed(self: Imager, picture: NDArray[np.uint8], key: int, *rest: Any) -> None:
-        sense(self, picture, key, *rest)
-        _off_by_one(picture, number + key)
+def _one_grey_off(
+    take_eye: Callable[[StereoCamera, int, Shot], Grey], number: int
+) -> Callable[[StereoCamera, int, Shot], Grey]:
+    def disturbed(camera: StereoCamera, eye: int, shot: Shot) -> Grey:
+        return _off_by_one(take_eye(camera, eye, shot), number + 2 * shot.shown.frame_id + eye)
 
     return disturbed
 
 
-def _off_by_one(picture: NDArray[np.uint8], key: int) -> NDArray[np.uint8]:
+def _off_by_one(picture: Grey, key: int) -> Grey:
     """``picture`` with the lowest bit of one pixel turned over, in place."""
     picture.flat[np.random.default_rng(key).integers(picture.size)] ^= 1
     return picture

@@ -185,6 +185,8 @@ HOSTILE: dict[str, Bend] = {
     "a byte count too high": lambda a: a[:8] + b"\x52" + a[9:],
     "one word less": lambda a: _with_pdu(a, b"\x17\x4e" + a[9:-2]),
     "one word more": lambda a: _with_pdu(a, b"\x17\x52" + a[9:] + bytes(2)),
+    "a byte behind the words": lambda a: _with_pdu(a, a[7:] + b"\0"),
+    "a byte behind an exception": lambda a: _with_pdu(a, b"\x97\2\0"),
     "no word": lambda a: _with_pdu(a, b"\x17\0"),
     "a length of 0": lambda a: a[:4] + bytes(2) + a[6:],
     "a length beyond all frames": lambda a: a[:4] + b"\xff\xff" + a[6:],

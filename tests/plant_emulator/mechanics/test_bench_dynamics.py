@@ -30,7 +30,6 @@ from testbed.reporting.console import out, table
 from testbed.validation.oracles import mujoco_xml
 from tests.plant_emulator.mechanics.structure_world import ENTRIES
 from tests.plant_emulator.plant_world import plant_config
-from tests.support.yardstick import yardstick_ms
 
 Array = NDArray[np.float64]
 
@@ -151,10 +150,11 @@ PEER = {  # coupling and oil sub-step, s
     "MuJoCo, coupled at 0.1 ms": (1e-4, 1e-4),
 }
 FINEST = 2.5e-5
-MOST_YARDSTICKS = 11.0  # of processor time for a simulated second: twelve times real time at 7.5 ms
-WHOLE_YARDSTICKS = 6.7  # of the whole structure: twenty times real time
+MOST_OF_PEER = 0.5  # of MuJoCo's processor time with the oil coupled at 0.1 ms, which is as exact
+WHOLE_OF_PEER = 0.5
 GREATEST_ERROR = 1e-5  # m
-MOST_BYTES = 500  # beyond those of one step: the counters read
+MANY = 20_000  # steps
+BYTES_A_STEP = 0.1  # an array, or a number, of every step would be 16 at least
 
 
 def worst(tips: Array, reference: Array) -> float:
@@ -247,19 +247,21 @@ def test_limits(references: tuple[Array, Array], rows: list[Row]) -> None:
     own = next(row for row in rows if row.name == "plant, 0.5 ms")
     wholes = [row for row in rows if row.name in WHOLE]
     whole, error = max(row.cost for row in wholes), max(row.error for row in wholes)
-    one, many, yardstick = allocations(1), allocations(20_000), yardstick_ms()
+    one, many = allocations(1), allocations(MANY)
+    peer = next(row.cost for row in rows if row.name == list(PEER)[-1])
+    bytes_a_step = (many[1] - one[1]) / MANY
     verdicts = [
-        (f"yardsticks of {yardstick:.1f} ms a simulated second at 0.5 ms", f"≤ {MOST_YARDSTICKS:g}",
-         f"{own.cost / yardstick:.1f}", own.cost <= MOST_YARDSTICKS * yardstick),
+        ("cost at 0.5 ms over MuJoCo's, coupled at 0.1 ms", f"≤ {MOST_OF_PEER:g}",
+         f"{own.cost / peer:.2f}", own.cost <= MOST_OF_PEER * peer),
         ("worst tip error at 0.5 ms, mm", f"< {GREATEST_ERROR * 1e3:g}", f"{own.error * 1e3:.5f}",
          own.error < GREATEST_ERROR),
-        ("yardsticks of the whole structure, either valves", f"≤ {WHOLE_YARDSTICKS:g}",
-         f"{whole / yardstick:.1f}", whole <= WHOLE_YARDSTICKS * yardstick),
+        ("cost of the whole structure, either valves, over the same", f"≤ {WHOLE_OF_PEER:g}",
+         f"{whole / peer:.2f}", whole <= WHOLE_OF_PEER * peer),
         ("worst tip error of the whole structure, mm", f"< {GREATEST_ERROR * 1e3:g}", f"{error * 1e3:.5f}",
          error < GREATEST_ERROR),
-        ("blocks allocated by 20 000 steps, beyond those by one", "0", many[0] - one[0], many[0] == one[0]),
-        ("greatest number of Python's bytes in use by these steps, beyond those by one", f"≤ {MOST_BYTES}",
-         many[1] - one[1], many[1] - one[1] <= MOST_BYTES),
+        (f"blocks allocated by {MANY} steps, beyond those by one", "0", many[0] - one[0], many[0] == one[0]),
+        ("greatest number of Python's bytes in use, a step, beyond those by one", f"≤ {BYTES_A_STEP:g}",
+         f"{bytes_a_step:.3f}", bytes_a_step <= BYTES_A_STEP),
     ]  # fmt: skip
     shown = [(*line[:3], "passed" if line[3] else "FAILED") for line in verdicts]
     out.print(table("limits", ("figure", "limit", "obtained", "verdict"), shown))

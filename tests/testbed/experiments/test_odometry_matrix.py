@@ -127,13 +127,15 @@ def test_pairs_are_right_within_what_is_predicted_or_lost(kind: str, seed: int, 
 
 @pytest.mark.skipif(not available(), reason="LONGREACH_DATA has no pictures of OpenCV")
 def test_real_pictures_of_a_board_that_moves_are_lost_rather_than_wrong() -> None:
-    """Once 283 mm off, told 0.8 mm: the board was followed. What is seen again is found again."""
+    """Once 283 mm off, told 0.8 mm: the board was followed. Board and person are most of what is seen, and
+    nothing tells which the world is: a map of both is withdrawn.
+    """
     made = real_sequence("real_twice")
     assert (len(made.pairs), made.told.width_px) == (25, 640)
-    for name, least in (("real_twice", 2), ("real_rest", 0)):
+    for name in ("real_twice", "real_rest"):
         row = one_row(CONFIGS, {"kind": name, "seed": 0, "peer": False})
         assert (row.wrong, row.gross) == (0, 0), name
-        assert row.located >= least
+        assert "two_motions" in row.losses
 
 
 def test_a_row_is_right_within_what_it_tells() -> None:

@@ -24,17 +24,12 @@ from testbed.lockstep.world import World
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from tests.support.yardstick import yardstick_ms
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.pixel_sensor import PixelSensor
 
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
 
-# Yardsticks for a simulated second; where one takes 7.4 ms:
-LIMIT = 15.0  # nine times real time
-LIMIT_WITH_PIXELS = 40.0  # 3.4 times
-LIMIT_FOLLOWED = 65.0  # 2.1 times, every picture of ten a second
-LIMIT_REAL = 30.0  # 4.5 times, machines as they are seen by the eye model: what campaigns run
+MOST_REST = 0.25  # of the whole: what is neither plant nor controller, renderer, markers nor odometry
 SECONDS = 20.0
 PARTS: dict[str, list[tuple[type, str]]] = {
     "plant": [(Plant, "advance"), (Plant, "read"), (Plant, "write"), (Plant, "truth")],
@@ -91,22 +86,17 @@ def measured(world: World, work: Callable[[], None]) -> Spent:
     return Spent(1e-9 * (world.time_ns - began_ns), time.process_time() - began, parts, calls)
 
 
-def report(what: str, spent: Spent, limit: float) -> float:
-    """Print a table of ``spent``; returns the yardsticks that a simulated second takes."""
-    yardstick = yardstick_ms()
+def report(what: str, spent: Spent) -> float:
+    """Print a table of ``spent``; returns the share of lockstep itself, beside what it steps."""
     each_ms = 1e3 / spent.simulated_s
-    cost = each_ms * spent.spent_s / yardstick
-    print(
-        f"\nlockstep {what}, 5 ms cycle, one core: {spent.simulated_s / spent.spent_s:.1f} times real time,"
-        f" {cost:.1f} yardsticks of {yardstick:.1f} ms for a simulated second (limit {limit:g})"
-    )
     rest = spent.spent_s - sum(spent.parts_s.values())
+    print(f"\nlockstep {what}, 5 ms cycle, one core: {spent.simulated_s / spent.spent_s:.1f} times real time")
     print("  part         ms a simulated second   share   ms a call   calls")
     for part, seconds in [*spent.parts_s.most_common(), ("rest", rest)]:
         calls = spent.calls[part]
         each = f"{1e3 * seconds / calls:11.3f} {calls:7d}" if calls else ""
         print(f"  {part:12s} {each_ms * seconds:21.1f} {100 * seconds / spent.spent_s:6.0f} % {each}")
-    return cost
+    return rest / spent.spent_s
 
 
 @pytest.fixture(autouse=True)
@@ -151,7 +141,7 @@ def test_lockstep_without_pixels(moving_world: World) -> None:
 
     # the best of three: the others tell of other work on the machine
     spent = min((measured(moving_world, move) for _ in range(3)), key=lambda one: one.spent_s)
-    assert report("without pixels, in motion", spent, LIMIT) <= LIMIT
+    assert report("without pixels, in motion", spent) <= MOST_REST
 
 
 def test_the_demonstration_with_pixels() -> None:
@@ -163,7 +153,7 @@ def test_the_demonstration_with_pixels() -> None:
             demonstrate(rig, Recorder(rig, shown), 1)
 
     spent = measured(rig.world, demonstration)
-    assert report("with pixels, the demonstration", spent, LIMIT_WITH_PIXELS) <= LIMIT_WITH_PIXELS
+    assert report("with pixels, the demonstration", spent) <= MOST_REST
 
 
 def test_every_picture_rendered_and_followed() -> None:
@@ -177,7 +167,7 @@ def test_every_picture_rendered_and_followed() -> None:
             rig.operate("local-track", {"leg_m": 0.1}, bar)
 
     spent = measured(rig.world, follow)
-    assert report("with every picture followed", spent, LIMIT_FOLLOWED) <= LIMIT_FOLLOWED
+    assert report("with every picture followed", spent) <= MOST_REST
 
 
 def test_a_real_machine_seen_by_the_eye_model() -> None:
@@ -189,7 +179,7 @@ def test_a_real_machine_seen_by_the_eye_model() -> None:
             rig.operate("local-track", {}, bar)
 
     spent = measured(rig.world, follow)
-    assert report("of a real machine, eye model", spent, LIMIT_REAL) <= LIMIT_REAL
+    assert report("of a real machine, eye model", spent) <= MOST_REST
 
 
 def warm() -> None:

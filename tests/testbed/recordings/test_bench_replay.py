@@ -136,7 +136,9 @@ def test_replayed_programs_send_the_same_references(tmp_path: Path, seed: int) -
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("images", "frames"), [("none", FRAMES), ("raw", RAW_FRAMES)])
 def test_a_thousand_frames_come_out_identical(tmp_path: Path, images: str, frames: int) -> None:
+    began_s = time.process_time()
     path = recorded(tmp_path, images, frames)
+    recording_s = time.process_time() - began_s
     made = replayed(path, tmp_path / TRUTH if images == "none" else None)
     compared, arm_s, busiest_s = made.compared, made.arm_s, max(made.cpu_s, made.beside_s)
     sizes = {part.name: part.stat().st_size * 6e-5 / arm_s for part in tmp_path.rglob("*.mcap")}
@@ -153,5 +155,5 @@ def test_a_thousand_frames_come_out_identical(tmp_path: Path, images: str, frame
     assert compared.first is None
     assert compared.alike == compared.of
     assert compared.of[FRAME] >= frames
-    assert arm_s / busiest_s > 3.0
+    assert busiest_s < recording_s  # in lockstep, with all three services
     assert images == "raw" or sum(sizes.values()) < 15.0

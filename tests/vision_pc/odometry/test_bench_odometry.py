@@ -13,7 +13,6 @@ import pytest
 
 from testbed.experiments.odometry import orb_slam3
 from testbed.experiments.odometry.orb_slam3 import PeerTrack
-from tests.support.yardstick import yardstick_ms
 from tests.vision_pc.odometry.test_odometry import pair_at, poses
 from tests.vision_pc.perception.test_markers import object_markers
 from tests.vision_pc.rendering import Marker, facing, wall_texture
@@ -42,7 +41,6 @@ class Case(NamedTuple):
     limit_scale: float = 0.01
 
 
-LIMIT, LIMIT_LEFT = 5.0, 2.0  # yardsticks
 CASES = [
     Case(1.5, 1.0, 2.0, False, 0.2),
     Case(3.0, 1.0, 2.0, False, 0.2),
@@ -89,10 +87,9 @@ def test_ahead_of_orb_slam3(
         told = learnt(before, camera, config)
     left_only = config.odometry.model_copy(update={"right_every": 0})
     ours = {
-        "both eyes": (follow(told, config, pairs), LIMIT),
-        "left eye, both for keyframes": (
-            follow(told, config.model_copy(update={"odometry": left_only}), pairs),
-            LIMIT_LEFT,
+        "both eyes": follow(told, config, pairs),
+        "left eye, both for keyframes": follow(
+            told, config.model_copy(update={"odometry": left_only}), pairs
         ),
     }
     peer = one_map(orb_slam3.follow(camera, words, pairs))
@@ -102,23 +99,18 @@ def test_ahead_of_orb_slam3(
             f"\nodometry at {case.z:g} m, contrast {case.contrast:g}, noise {case.noise:g}"
             + (f", right eye off by {OFFSET_PX[0]:g} px" if case.offset else "")
         )
-        for name, followed in [*((n, path) for n, (path, _) in ours.items()), ("ORB-SLAM3", peer)]:
+        for name, followed in [*ours.items(), ("ORB-SLAM3", peer)]:
             error, scale = aligned_error(followed.poses, true)
             print(
                 f"  {name}: {1e3 * error:.3f} mm rms, scale {100 * scale:+.3f} %, {len(followed.poses)} of"
                 f" {FRAMES} frames, {milliseconds(followed):.1f} ms a frame (processor time, median)"
             )
-        yardstick = yardstick_ms()
-        print(
-            f"  limits: {case.limit_mm:g} mm, {LIMIT:g} yardsticks of {yardstick:.1f} ms, {LIMIT_LEFT:g} with"
-            " one eye"
-        )
-    for followed, limit in ours.values():
+        print(f"  limits: {case.limit_mm:g} mm, and the peer's error and time")
+    for followed in ours.values():
         error, scale = aligned_error(followed.poses, true)
         assert len(followed.poses) == FRAMES
         assert 1e3 * error < case.limit_mm
         assert abs(scale) < case.limit_scale
-        assert milliseconds(followed) < limit * yardstick
         assert error < aligned_error(peer.poses, true)[0]
         assert milliseconds(followed) < milliseconds(peer)
 

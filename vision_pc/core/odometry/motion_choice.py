@@ -28,6 +28,7 @@ _STRICT = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow
 _DEPTHS = 3.0  # standard deviations of a point's depth
 _BY_DEPTH = 0.9  # of a second motion's points: such depths put all of them off, a slow thing but some
 _SECOND_POINTS = 12  # at least, of a second motion
+_CONSENSUS, _FEWEST = 5, 6  # fits at most, and of so many points at least
 _GROSS = 4.0  # times what the arm's motion may differ by: nobody asked for more than that
 
 
@@ -154,11 +155,22 @@ class MotionChoice:
             reprojectionError=most_px / float(self._camera.left.K[0, 0]),
             confidence=0.999,
         )
-        flags = np.zeros(len(points), dtype=bool)
-        if found and inliers is not None:
-            flags[inliers.ravel()] = True
+        if not found or inliers is None:
+            return X_CC0, np.zeros(len(points), dtype=bool)
+        agree = np.zeros(len(points), dtype=bool)
+        agree[inliers.ravel()] = True
+        # Fitted again until who agrees stands still: nothing hangs on one sample (locally optimised RANSAC).
+        for _ in range(_CONSENSUS):
             X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
-        return X_CC0, flags
+            there = se3.apply(X_CC0, points)
+            off_px = np.linalg.norm(there[:, :2] / there[:, 2:] - rays, axis=1) * self._camera.left.K[0, 0]
+            before, agree = agree, (off_px < most_px) & (there[:, 2] > 0.0)
+            if int(agree.sum()) < _FEWEST or np.array_equal(before, agree):
+                break
+            rotation, position = cv2.solvePnPRefineLM(
+                points[agree], rays[agree], np.eye(3), None, rotation, position
+            )
+        return X_CC0, agree
 
     def _second(
         self,

@@ -3,10 +3,10 @@
 import threading
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import psutil
 
 from foundation.statistics import resident_mb
 
@@ -72,8 +72,7 @@ class ResourceWatch(threading.Thread):
     def run(self) -> None:
         """The thread's work."""
         while True:
-            parents = _parents()
-            families = {name: _family(pid, parents) for name, pid in self._pids.items()}
+            families = {name: _family(pid) for name, pid in self._pids.items()}
             held = _held(families)
             for _ in range(_LOOKS - 1):
                 if not self._ended.wait(_BETWEEN_S):
@@ -91,31 +90,20 @@ class ResourceWatch(threading.Thread):
         self.join()
 
 
-def _held(families: Mapping[str, set[int]]) -> dict[str, float]:
-    return {name: sum(map(resident_mb, family)) for name, family in families.items()}
+def _held(families: Mapping[str, list[psutil.Process]]) -> dict[str, float]:
+    return {name: sum(resident_mb(each.pid) for each in family) for name, family in families.items()}
 
 
-def _family(pid: int, parents: Mapping[int, int]) -> set[int]:
-    family = {pid}
-    while grown := {child for child, parent in parents.items() if parent in family} - family:
-        family |= grown
-    return family
-
-
-def _handles(pid: int) -> int:
+def _family(pid: int) -> list[psutil.Process]:
     try:
-        return sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())
-    except OSError:
+        first = psutil.Process(pid)
+        return [first, *first.children(recursive=True)]
+    except psutil.NoSuchProcess:
+        return []
+
+
+def _handles(process: psutil.Process) -> int:
+    try:
+        return int(process.num_fds())
+    except psutil.Error:
         return 0  # ended while we looked
-
-
-def _parents() -> dict[int, int]:
-    parents = {}
-    for directory in Path("/proc").iterdir():
-        if directory.name.isdigit():
-            try:
-                fields = (directory / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue  # ended while we looked
-            parents[int(directory.name)] = int(fields[1])
-    return parents

@@ -20,7 +20,7 @@ CONFIG = load(VisionConfig, CONFIGS / "vision.yaml")
 RATE_HZ = 10.0
 SECONDS = 6
 FRAMES = round(SECONDS * RATE_HZ)
-LIMITS = {"none": 3.0, "jpeg": 5.0, "raw": 15.0}
+LIMITS = {"none": 0.1, "jpeg": 0.3, "raw": 0.6}  # of what both eyes take as PNG
 
 
 def frames() -> list[StereoPair]:
@@ -84,11 +84,11 @@ def test_recording_costs_little_of_a_core(tmp_path: Path, images: str) -> None:
         for eye in (pair.left, pair.right):
             cv2.imencode(".png", eye, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     png_percent = 100.0 * RATE_HZ * (time.process_time() - began_s) / len(kept)
+    png_us = 1e4 * png_percent / RATE_HZ
     percent = 100.0 * whole_s / SECONDS
     mb = (tmp_path / "DirectRecording.mcap").stat().st_size * 60e-6 / SECONDS
     told_us = 1e6 * told_s / FRAMES
     print(f"\n{images}: {told_us:.0f} us a frame where it is told, {percent:.1f} % of a core in all,")
     print(f"{mb:.1f} MB/min; its peer, both eyes as PNG: {png_percent:.0f} % of a core")
-    assert percent < LIMITS[images]
-    assert percent < png_percent
-    assert told_us < 1000.0
+    assert percent < LIMITS[images] * png_percent
+    assert told_us < 0.05 * png_us
