@@ -143,6 +143,7 @@ async def test_case_33_a_camera_that_falls_silent_is_found_by_its_age() -> None:
 MOVE = {"offset_base_m": [0.0, 0.05, 0.0]}
 
 
+@pytest.mark.slow("motions in real time")
 @pytest.mark.realtime
 async def test_case_37_a_post_repeated_with_one_key_is_one_motion() -> None:
     async with live() as rig:
@@ -196,6 +197,7 @@ class HangingPipe(io.TextIOBase):
         return len(text)
 
 
+@pytest.mark.slow("motions in real time")
 @pytest.mark.realtime
 async def test_case_39_hanging_consoles_are_left_behind_and_the_motion_goes_on() -> None:
     pipe = HangingPipe()
@@ -258,6 +260,7 @@ async def test_case_40_on_a_full_disk_no_motion_begins_and_the_alarm_is_seen(tmp
         assert np.linalg.norm(rig.tool() - before) < HELD_M
 
 
+@pytest.mark.slow("motions in real time")
 @pytest.mark.realtime
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 async def test_case_40_a_running_motion_ends_when_the_disk_fills_up(tmp_path: Path) -> None:

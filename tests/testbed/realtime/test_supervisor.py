@@ -124,6 +124,7 @@ def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str
     return told
 
 
+@pytest.mark.slow("a service stalls and recovers")
 def test_a_stalled_service_is_named_and_so_is_its_recovery(tmp_path: Path) -> None:
     with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
         stalled = supervisor.children["second"]

@@ -222,6 +222,7 @@ async def test_a_click_is_refused_where_what_was_clicked_has_moved_since(
     assert refused.value.cause == "target.moves"
 
 
+@pytest.mark.slow("a person's time is waited for")
 async def test_who_is_asked_for_the_other_eye_has_time_to_find_the_place_there(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

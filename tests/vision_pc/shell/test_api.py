@@ -13,6 +13,7 @@ from tests.vision_pc.synthetic_station import Bench, bench
 pytestmark = pytest.mark.realtime
 
 
+@pytest.mark.slow("motions in real time")
 async def test_the_whole_procedure_brings_the_tool_inside_5_mm(station: Bench) -> None:
     assert (await station.post("/enable")).json()["group_state"] == "standby"
     before = np.abs(station.rig.true_error(0.1)[:2]).max()
@@ -37,6 +38,7 @@ async def test_the_whole_procedure_brings_the_tool_inside_5_mm(station: Bench) -
     assert state["calibration"]["method"] == "points/time"
 
 
+@pytest.mark.slow("motions in real time")
 async def test_best_mode_needs_one_look(station: Bench) -> None:
     await station.post("/enable")
     await station.run("orientation-adjustment")
@@ -47,6 +49,7 @@ async def test_best_mode_needs_one_look(station: Bench) -> None:
     assert abs(moved["result"]["measured_miss_mm"]["x"]) < 5.0
 
 
+@pytest.mark.slow("motions in real time")
 async def test_line_equation_moves_once_and_looks_at_the_result(station: Bench) -> None:
     await station.post("/enable")
     await station.run("orientation-adjustment")

@@ -43,6 +43,7 @@ def raised(X_BT: Array, z: float) -> Array:
     return X
 
 
+@pytest.mark.slow("a stream in real time")
 async def test_a_stream_is_followed_to_its_newest_reference(link: ReferenceLink) -> None:
     arm = LinkArm(link, MotionSettings())
     home = (await arm.view()).X_BT

@@ -68,6 +68,7 @@ async def test_half_a_wish_is_refused_in_words_and_not_left_out(
     assert words in answer.json()["detail"]
 
 
+@pytest.mark.slow("motions in real time")
 @pytest.mark.parametrize(
     ("program", "more"),
     [
@@ -104,6 +105,7 @@ async def test_programs_refuse_a_target_that_is_not_there(station: Bench) -> Non
     assert (await station.post("/operations/visit", {"targets": []})).status_code == 422
 
 
+@pytest.mark.slow("motions in real time")
 async def test_a_row_of_targets_is_visited_with_one_track(station: Bench) -> None:
     await station.post("/enable")
     for _ in range(2):
