@@ -16,6 +16,9 @@ RUN_STAMP := $(VENV)/.stamp-run
 DEV_STAMP := $(VENV)/.stamp-dev
 PEERS_STAMP := $(VENV)/.stamp-peers
 AUDIT := $(VENV)-audit
+# pip compiles byte code on one core; this does on all (some packages ship files that no Python reads).
+BYTE_CODE = $(BIN)/python -m compileall -q -j 0 $(VENV)/lib > /dev/null || true
+PIP_FLAGS := --quiet --no-compile --no-deps --require-hashes
 LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version 3.11
 ARGS ?=
 PROCESSES ?= 2
@@ -53,18 +56,20 @@ $(BIN)/python:
 	"$(PYTHON)" -m venv $(VENV)
 
 $(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install $(PIP_FLAGS) -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
-	@echo "compiling kernels, once: a minute or two of each core; the cache is kept for later environments"
+	$(BYTE_CODE)
+	@echo "compiling kernels, once: about a minute of two cores; the cache is kept for later environments"
 	$(BIN)/python -m testbed.lockstep.warm_up
 	@touch $@
 
 $(DEV_STAMP): requirements-dev.lock $(RUN_STAMP)
-	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements-dev.lock
+	$(BIN)/python -m pip install $(PIP_FLAGS) -r requirements-dev.lock
+	$(BYTE_CODE)
 	@touch $@
 
 $(PEERS_STAMP): requirements-peers.lock $(DEV_STAMP)
-	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements-peers.lock
+	$(BIN)/python -m pip install $(PIP_FLAGS) -r requirements-peers.lock
 	@touch $@
 
 setup: $(RUN_STAMP)  ## virtual environment with what runs

@@ -30,6 +30,8 @@ from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, Image, StereoPair
 
+_FACING = np.diag([1.0, -1.0, -1.0])  # a camera or a marker that looks the other one in the face
+
 
 def _settings() -> Settings:
     return load_settings(usual_configs(), {})
@@ -48,8 +50,11 @@ def _plant() -> None:
 
 
 def _camera() -> None:
-    scene = _settings().scene
-    StereoCamera(scene.camera, Scene(scene), 1).render(np.eye(4), np.eye(4), 0)
+    config = _settings().scene
+    scene = Scene(config)
+    X_WC = scene.mounts.X_WO @ se3.transform(_FACING, (0.0, 0.0, 1.2))
+    X_WM = X_WC @ se3.transform(_FACING, (0.1, 0.2, 1.0))
+    StereoCamera(config.camera, scene, 1).render(X_WC, X_WM, 0)
 
 
 def _perception() -> None:
@@ -107,10 +112,9 @@ def _whole_life() -> None:
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("look") as bar:
         rig.operate("look", {"frames": 1}, bar)
-        rig.operate("local-track", {"leg_m": 0.05}, bar)
 
 
-PARTS: tuple[Callable[[], None], ...] = (_controller, _plant, _perception, _camera)  # longest first
+PARTS: tuple[Callable[[], None], ...] = (_controller, _perception, _camera, _plant)  # longest first
 
 
 def main() -> int:
