@@ -30,20 +30,24 @@ BROWSERS := chromium chromium-browser google-chrome
 LABORATORY := $(addprefix tests/, \
 	bad_input browser packaging tools \
 	$(addprefix conformance/test_, c_controller.py coupler_mutants.py coupler_suite.py first_hour.py key_suite.py \
-		mutant_report.py reference_suite.py runner.py systematic.py) \
+		mutant_report.py own_plant.py reference_suite.py runner.py systematic.py) \
 	$(addprefix controller/test_, after_stop.py load_holding.py) \
 	dissector/test_tshark.py \
+	faults/test_vision.py \
 	foundation/test_compiled.py \
 	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
 		prometheus.py stop_behind_flood.py) \
 	longreach/test_documented.py \
 	plant_emulator/shell/test_plant_process.py \
-	$(addprefix testbed/, arms camera campaigns cli commissioning dashboard demonstration experiments exports hand_eye \
+	$(addprefix testbed/, arms camera campaigns cli commissioning dashboard demonstration experiments exports \
+		fault_proxy hand_eye \
 		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py \
 		validation) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
-		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) perception/test_chance_markers.py \
-		shell/test_api_schema.py))
+		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) \
+		$(addprefix perception/test_, chance_markers.py remembered_tool.py stereo_fit.py) \
+		$(addprefix targets/test_, measuring.py surroundings.py template_target.py) \
+		$(addprefix shell/test_, api_schema.py target_routes.py)))
 
 .PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
