@@ -45,6 +45,7 @@ ONCE_ALIVE = {
 }
 
 
+@pytest.mark.slow("a whole suite over sockets")
 def test_a_coupler_written_from_the_page_passes_every_case(clock: ShiftedClock) -> None:
     with PageServer(Rules(), clock) as server:
         summary = run_coupler("127.0.0.1", server.port, outputs=True)

@@ -18,6 +18,7 @@ CONTROL = 601
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("clock")]
 
 
+@pytest.mark.slow("cases wait for watchdogs to expire")
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
 def test_each_broken_coupler_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as coupler:
@@ -26,6 +27,7 @@ def test_each_broken_coupler_is_caught_by_the_case_meant_for_it(mutant: Mutant) 
     assert outcomes == {CONTROL: CaseOutcome.PASS, mutant.case: CaseOutcome.FAIL}
 
 
+@pytest.mark.slow("a whole suite over sockets")
 def test_without_leave_no_case_writes_outputs() -> None:
     with ThreadedCoupler() as coupler:
         summary = run_coupler("127.0.0.1", coupler.port)

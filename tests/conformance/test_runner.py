@@ -162,6 +162,7 @@ def let_expire(port: int) -> None:
         assert master.recv(64)[7:9] == b"\x83\x04"
 
 
+@pytest.mark.slow("a watchdog is waited for, twice")
 @pytest.mark.realtime
 def test_a_coupler_left_expired_is_reset_where_that_is_allowed_and_else_unsupported() -> None:
     with ThreadedCoupler() as coupler:

@@ -122,6 +122,7 @@ def leaves(table: Mapping[str, Any], above: str = "") -> Iterator[str]:
             yield path
 
 
+@pytest.mark.slow("three services, and a period of their statistics")
 def test_no_figure_of_the_statistics_is_left_out(rig: Running) -> None:
     for name, table in TABLES.items():
         paths = {figure.path for figure in table}

@@ -103,6 +103,7 @@ def _darkest(picture: Image) -> float:
     return float(picture.reshape(720, 32, 40).mean(axis=(0, 2)).min())
 
 
+@pytest.mark.slow("forty pairs rendered and followed twice")
 @pytest.mark.parametrize(
     ("kind", "seed", "located"),
     [
@@ -125,6 +126,7 @@ def test_pairs_are_right_within_what_is_predicted_or_lost(kind: str, seed: int, 
     assert row.located >= located * row.pairs
 
 
+@pytest.mark.slow("a real camera is fitted, two sequences followed")
 @pytest.mark.skipif(not available(), reason="LONGREACH_DATA has no pictures of OpenCV")
 def test_real_pictures_of_a_board_that_moves_are_lost_rather_than_wrong() -> None:
     """Once 283 mm off, told 0.8 mm: the board was followed. Board and person are most of what is seen, and

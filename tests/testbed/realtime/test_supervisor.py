@@ -70,6 +70,7 @@ def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
     assert not alive(child.pid)
 
 
+@pytest.mark.slow("starts processes and waits for their end")
 def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     program = (
         "import time; from pathlib import Path; from testbed.realtime.child import *\n"

@@ -176,6 +176,7 @@ def long_way() -> list[Array]:
     return [se3.transform(np.eye(3), (0.35 * k, 0.0, 0.0)) for k in range(9)]
 
 
+@pytest.mark.slow("a map is filled picture by picture")
 def test_a_full_map_goes_on(
     camera: CameraCalibration, config: VisionConfig, long_way: list[Array], texture: Array
 ) -> None:

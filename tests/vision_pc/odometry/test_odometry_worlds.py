@@ -89,6 +89,7 @@ def test_a_shadow_that_comes_and_goes_leaves_no_trace(
     assert odometry.keyframes == 1
 
 
+@pytest.mark.slow("a hundred pictures at rest")
 def test_a_camera_that_warms_at_rest_does_not_stretch_the_way(
     camera: CameraCalibration, config: VisionConfig, texture: Array
 ) -> None:

@@ -57,6 +57,7 @@ def test_what_the_motion_before_foresaw_is_believed(
     assert right >= located
 
 
+@pytest.mark.slow("rendered pictures before and after a gap")
 def test_after_a_gap_a_new_map_begins_and_is_joined_when_the_old_is_seen_again(
     camera: CameraCalibration, config: VisionConfig, texture: Array
 ) -> None:

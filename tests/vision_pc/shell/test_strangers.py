@@ -196,6 +196,7 @@ def follow(port: int, operation: str) -> socket.socket:
     return sock
 
 
+@pytest.mark.slow("a thousand connections")
 def test_a_thousand_followers_are_refused_and_a_stop_is_answered() -> None:
     with served_bench() as (url, bench), contextlib.ExitStack() as stack:
         port = int(url.rpartition(":")[2])
