@@ -143,7 +143,12 @@ def test_looking_while_moving_is_refused_and_stop_ends_the_motion(face: httpx.Cl
 
 
 def test_a_look_sees_tool_and_object_and_its_picture_can_be_had(face: httpx.Client) -> None:
-    operation = ended(face, face.post("/operations/look", json={"frames": 3}).json())
+    deadline = time.monotonic() + 60.0
+    while True:  # a machine that stands still between two states is told by name, and looked with again
+        operation = ended(face, face.post("/operations/look", json={"frames": 3}).json())
+        problem = operation["problem"] or {"type": ""}
+        if not problem["type"].endswith(":link.state_gap") or time.monotonic() > deadline:
+            break
     assert operation["state"] == "succeeded", operation["problem"]
     assert face.get("/looks/latest").json()["frames"] == 3
     picture = face.get("/camera/latest.png")
