@@ -144,7 +144,7 @@ def test_looking_while_moving_is_refused_and_stop_ends_the_motion(face: httpx.Cl
 
 def test_a_look_sees_tool_and_object_and_its_picture_can_be_had(face: httpx.Client) -> None:
     deadline = time.monotonic() + 60.0
-    while True:  # a machine that stands still between two states is told by name, and looked with again
+    while True:  # if the machine stalls between two states, the refusal names that cause: repeat the look
         operation = ended(face, face.post("/operations/look", json={"frames": 3}).json())
         problem = operation["problem"] or {"type": ""}
         if not problem["type"].endswith(":link.state_gap") or time.monotonic() > deadline:

@@ -6,7 +6,7 @@
 
 A machine is a set of variables: the processor that numba compiles for, OpenBLAS' kernel, and the instructions
 that numpy, OpenCV and the C library may not use. Each has a cache of compiled kernels of its own. Before its
-tests it is told in which libraries its last digits differ from this machine's. Exit status 1: tests failed.
+tests, the libraries are listed in which its last digits differ from this machine's. Exit status 1: tests failed.
 """
 
 import datetime
@@ -70,13 +70,13 @@ MACHINES: dict[str, dict[str, str]] = {
 _DIGITS = """
 import hashlib, json, math
 import cv2, numpy as np
-def told(values): return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+def digest(values): return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
 A = np.random.default_rng(1).normal(size=(67, 67))
 picture = np.random.default_rng(1).normal(size=(200, 300)).astype(np.float32)
 print(json.dumps({
-    "BLAS": told(np.linalg.solve(A, A @ A)), "numpy": told([np.sin(A), np.exp(A), np.tanh(A)]),
+    "BLAS": digest(np.linalg.solve(A, A @ A)), "numpy": digest([np.sin(A), np.exp(A), np.tanh(A)]),
     "OpenCV": told(cv2.GaussianBlur(picture, (0, 0), 1.3)),
-    "C library": told([[f(x) for x in A.ravel()] for f in (math.sin, math.exp, math.atan)]),
+    "C library": digest([[f(x) for x in A.ravel()] for f in (math.sin, math.exp, math.atan)]),
 }))
 """
 
@@ -91,9 +91,9 @@ class Outcome(NamedTuple):
 
 def surroundings(name: str) -> dict[str, str]:
     """The variables of the process that stands for machine ``name``; of this machine for a disturbance."""
-    told = MACHINES.get(name, {})
-    cache = {"NUMBA_CACHE_DIR": str(Path(sys.prefix) / "other-machines" / name)} if told else {}
-    return {**os.environ, **told, **cache}
+    variables = MACHINES.get(name, {})
+    cache = {"NUMBA_CACHE_DIR": str(Path(sys.prefix) / "other-machines" / name)} if variables else {}
+    return {**os.environ, **variables, **cache}
 
 
 def different_digits(name: str) -> str:
@@ -132,7 +132,7 @@ def main(*asked: str) -> int:
     if asked == ("--today",):
         names = of_today(datetime.date.today().toordinal())
     if unknown := set(names) - {*MACHINES, *DISTURBANCES}:
-        out.print(f"{sorted(unknown)[0]}: one of {', '.join([*MACHINES, *DISTURBANCES])} is wanted")
+        out.print(f"{sorted(unknown)[0]}: one of {', '.join([*MACHINES, *DISTURBANCES])} is expected")
         return 2
     table = Table("machine or disturbance", "last digits differ in", "tests", "s", title="numerical tests")
     failed = []
