@@ -87,12 +87,9 @@ class MotionChoice:
         if self._readout.share and inliers.any():  # how it moved is known about now
             self._readout.moved(se3.inverse(X_CC0))
             X_CC0, inliers = self._coarse_pose(points, pixels, se3.inverse(X_CC0), strict)
-        # An arm tells which of two motions is the camera's: with one, none is to be missed. A pass before the
-        # shutter is known takes no row that is read late for another motion, for the next pass will judge.
-        other = None
-        if foreseen.arm is None or not self._readout.is_unknown:
-            forgiving = foreseen.arm is None and not strict
-            other = self._second(ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
+        # An arm tells which of two motions is the camera's: with one, none is to be missed.
+        forgiving = foreseen.arm is None and not strict
+        other = self._second(ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
         if other is None:
             return self._single(frame, tracked, SeenMotion(X_CC0, inliers, np.zeros_like(inliers)), foreseen)
         X_theirs, theirs = other

@@ -83,11 +83,6 @@ class Readout:
         """Whether an earlier pass found no rolling: what one motion leaves is then not the shutter's."""
         return self._known and not self.share
 
-    @property
-    def is_unknown(self) -> bool:
-        """Whether this is a first pass, which shows how the shutter reads: rows look like another motion."""
-        return self._learns and not self._known
-
     def begin(self, share: float, motions: Mapping[int, PictureMotion]) -> None:
         """Begin with what an earlier pass over the same pictures found: about the ``share``, and by the
         pictures' numbers their ``motions``.
