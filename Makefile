@@ -45,7 +45,7 @@ LABORATORY := $(addprefix tests/, \
 		validation) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
 		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) \
-		$(addprefix perception/test_, chance_markers.py remembered_tool.py stereo_fit.py) \
+		$(addprefix perception/test_, chance_markers.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py template_target.py) \
 		$(addprefix shell/test_, api_schema.py target_routes.py)))
 

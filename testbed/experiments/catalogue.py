@@ -113,6 +113,11 @@ OURS = {
         "what a changed valve, play, lens … does to one look, and to what was told before it",
         "30 CPU s",
     ),
+    "rules": _one(
+        "rules:RULES_EXPERIMENT",
+        "what each rule is worth: the same emulated degraded machines with it and without it",
+        "45 CPU s",
+    ),
     "lockstep-demo": _one(
         "positioning.lockstep_demo:LOCKSTEP_DEMO",
         "how many demonstrations end under 10 and under 5 mm, after one look and after more",

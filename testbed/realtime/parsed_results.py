@@ -38,7 +38,6 @@ def look_of(told: JSON) -> JudgedLook:
         frames=told["frames"],
         failed_tool=told["failed_tool"],
         failed_object=told["failed_object"],
-        by_outline=told["by_outline"],
         cov_CM=_spread(told["std_tool_mm"], told["std_tool_deg"]),
         cov_CO=_spread(told["std_object_mm"], told["std_object_deg"]),
         frame_cov_CM=unknown,

@@ -11,16 +11,13 @@ import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
-from protocol.errors import MeasurementFailed
 from protocol.faults import FaultCode, GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note
 from tests.browser.open_console import eventually, opened
 from tests.vision_pc.shell.rest_server import served_bench
-from vision_pc.application.ports import Seen
 from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused
-from vision_pc.core.types import Look
 
 pytestmark = [
     pytest.mark.realtime,
@@ -316,23 +313,6 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
             expect(newest).to_be_in_viewport()  # of a list that scrolls
 
 
-def test_a_tool_that_was_moved_is_refused_with_what_to_do(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    why = "tool: its outline has moved by 2.3 px, limit 1.5 px, since its marker was seen"
-    with served_bench() as (url, bench), opened(browser, url) as page:
-
-        async def refuse(frames: int | None = None) -> Look:
-            raise MeasurementFailed("measurement.tool_moved", why)
-
-        monkeypatch.setattr(bench.eyes, "look", refuse)
-        is_state(page, "standby")
-        page.locator("#start-look").click()
-        note(page, "look", f"{why} (measurement.tool_moved). The tool is not where it was: straighten it")
-        expect(page.locator("#alarm-rows")).to_contain_text("straighten it, or show its marker once again")
-        is_state(page, "standby")
-
-
 def test_a_double_click_is_one_target_and_a_click_before_there_is_a_picture_none(browser: Browser) -> None:
     with served_bench() as (url, bench), opened(browser, url) as page:
         bench.eyes.picture_s = 0.5
@@ -378,19 +358,3 @@ def test_holes_are_found_at_rest_alone_for_their_outlines_stay_drawn(browser: Br
             is_state(page, "standby")
             page.locator("#find-holes").click()
             expect(page.locator("#aims path.hole")).to_have_count(1, timeout=WITHIN_MS)
-
-
-def test_a_tool_without_its_marker_is_told(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
-    with served_bench() as (url, bench):
-        bench.eyes.picture_s = 0.5
-        plain = bench.eyes.seen
-
-        def unread() -> Seen | None:
-            found = plain()
-            if found is None:
-                return None
-            return found._replace(observation=found.observation._replace(by_outline=True))
-
-        monkeypatch.setattr(bench.eyes, "seen", unread)
-        with opened(browser, url) as page:
-            expect(page.locator("#seen-told")).to_contain_text("tool by its outline, marker unread")

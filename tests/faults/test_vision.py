@@ -62,7 +62,7 @@ def fails_without_motion(rig: LockstepRig, registers: Registers, kind: str, **bo
 
 
 def test_case_31_a_marker_lost_while_looking_fails_the_operation_and_no_error_is_recorded() -> None:
-    rig, registers = lockstep("vision.look.frames=4", "vision.markers.tool.outline_m=[]")
+    rig, registers = lockstep("vision.look.frames=4")
     observe, seen = rig.eyes._sensor.observe, [0]
 
     def covered(frame: Any, previous: Any) -> Any:

@@ -100,7 +100,6 @@ def look_json(judged: JudgedLook) -> JSON:
             "frames": look.frames,
             "failed_tool": look.failed_tool,
             "failed_object": look.failed_object,
-            "by_outline": look.by_outline,
             "std_tool_mm": xyz(look.std_tool_m),
             "std_object_mm": xyz(look.std_object_m),
             "std_tool_deg": degrees(look.std_tool_rad),
@@ -131,7 +130,6 @@ def seen_json(seen: Seen | None) -> JSON:
         "X_CO": None if found.X_CO is None else pose_json(found.X_CO),
         "missing_tool": found.missing_tool,
         "missing_object": found.missing_object,
-        "by_outline": found.by_outline,
         "stereo_offset_px": None if offset is None else [offset.x_px, offset.y_px],
         "stereo_offset_std_px": None if offset is None else [offset.std_x_px, offset.std_y_px],
     }  # fmt: skip

@@ -40,17 +40,12 @@ class ToolMarkerSettings(StrictModel):
     """The marker on the tool, and what moves with the camera around it.
 
     ``carried_m``: rectangles in the marker's plane, each x_min, y_min, x_max, y_max (x right, y up), that
-    odometry must not take for the world. ``outline_m``: rectangles, in the same way, whose common outline the
-    pictures show also where the marker cannot be read: by it the marker's place is known on, once both were
-    seen together. None: without its marker the tool is not seen. ``outline_limit_px``: the tool was not left
-    as it was when its outline has moved by more.
+    odometry must not take for the world.
     """
 
     id: int = Field(ge=0, le=999)
     size_m: float = Field(gt=0.005, le=2.0)
     carried_m: tuple[Rectangle, ...] = ()
-    outline_m: tuple[Rectangle, ...] = ()
-    outline_limit_px: float = Field(1.5, gt=0.0, le=4.0)
 
 
 class ObjectMarkerSettings(StrictModel):

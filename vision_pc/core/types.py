@@ -101,29 +101,6 @@ class CameraErrors(NamedTuple):
         return StereoOffset(float(self.values[0]), float(self.values[1]), float(stds[0]), float(stds[1]))
 
 
-class ToolPieces(NamedTuple):
-    """Straight pieces of the tool's outline in one eye: middles (n, 2) px, unit normals (n, 2) into the tool,
-    lengths (n,) px, and whether the light rises (1) or falls (-1) along the normal.
-    """
-
-    middles: Array
-    normals: Array
-    lengths: Array
-    rises: Array
-
-
-class ToolMemory(NamedTuple):
-    """What is remembered of the tool: its marker's corners (4, 2) px and the outline's pieces in each eye.
-
-    ``frames``: how many were seen; the newest of them count.
-    """
-
-    left: Array
-    right: Array
-    outlines: tuple[ToolPieces, ToolPieces]
-    frames: int
-
-
 class FrameObservation(NamedTuple):
     """What one pair shows. A pose that was not measured is None, never a zero.
 
@@ -132,8 +109,6 @@ class FrameObservation(NamedTuple):
     and refused, by cause (``unknown_id``, ``repeated_id``, ``edges``, ``residual``, ``wrong_size``,
     ``ambiguous``). ``missing_*`` says why a pose is None: ``wrong_size``, ``ambiguous`` or ``not_seen``.
     ``errors`` of the camera, once they were found: then the offset is no longer learnt frame by frame.
-    ``tool`` is remembered from frames that show its marker; ``by_outline``: this one does not, and X_CM is
-    where the tool's outline says that it is.
     """
 
     capture_ns: int
@@ -151,16 +126,13 @@ class FrameObservation(NamedTuple):
     missing_object: str | None = None
     since_full_search: int = 0
     errors: CameraErrors | None = None
-    tool: ToolMemory | None = None
-    by_outline: bool = False
 
 
 class Look(NamedTuple):
     """Several pairs at rest combined robustly, with the controller's own X_BT at that time.
 
-    ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object,
-    and ``by_outline`` of those that did knew the tool by its outline, its marker unread; ``cov_CM`` /
-    ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
+    ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object;
+    ``cov_CM`` / ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
     square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C. ``X_BT`` is
     NaN where nobody told where the arm is: nothing can be computed from it.
     """
@@ -177,7 +149,6 @@ class Look(NamedTuple):
     frame_cov_CM: Array
     frame_cov_CO: Array
     offset: StereoOffset | None
-    by_outline: int = 0
 
     @property
     def arm_known(self) -> bool:

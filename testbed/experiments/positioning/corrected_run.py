@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.configuration import laid_over, merged, parse_overrides
+from nominal_arm.commissioned import JointPlay
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
@@ -130,7 +131,9 @@ def settings_of(
         asked = merged(asked, {"vision": adapting(config_dir)})
     asked = merged(asked, parse_overrides(task["assignments"]))
     settings = load_settings(config_dir, asked)
-    return commissioned(config_dir, asked, settings, task["seed"]) if task.get("commissioned") else settings
+    if not task.get("commissioned"):
+        return settings
+    return commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
 
 
 def adapting(config_dir: Path) -> JSON:
@@ -138,12 +141,19 @@ def adapting(config_dir: Path) -> JSON:
     return laid_over(config_dir, "vision_adapting.yaml")[0]
 
 
-def commissioned(config_dir: Path, asked: JSON, settings: Settings, seed: int) -> Settings:
-    """``settings``, which come from ``asked``, with the valves' plates read and ``stated_commissioning``."""
+def commissioned(
+    config_dir: Path, asked: JSON, settings: Settings, seed: int, sides: bool = True
+) -> Settings:
+    """``settings``, which come from ``asked``, with the valves' plates read and ``stated_commissioning``.
+
+    Without ``sides`` the widths of backlash are not in it.
+    """
     compensated = settings.plant.valves.compensator_bar > 0.0
     plates = {"name": settings.plant.valve_set, "pressure_compensated": compensated}
     settings = load_settings(config_dir, merged(asked, {"controller": {"valves": plates}}))
     found = stated_commissioning(settings, seed)
+    if not sides:
+        found = found.model_copy(update={"play_mrad": JointPlay()})
     return settings._replace(controller=settings.controller.model_copy(update={"commissioned": found}))
 
 

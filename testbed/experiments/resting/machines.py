@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from controller.core.servo.pose_servo import resolve, tool_state
 from controller.core.settings import settings_from
-from foundation.configuration import merged
+from foundation.configuration import merged, parse_overrides
 from nominal_arm.commissioned import Commissioned, JointValve, ValveEdge
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.core.plant import Plant
@@ -84,10 +84,10 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     real = task["valves"] == REAL
     for axis in _OF_A_MACHINE[task["valves"]]:
         own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
-    asked = merged(overrides, own)
+    asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
     settings = load_settings(config_dir, asked)
     if task["valves"] != "servo":
-        settings = commissioned(config_dir, asked, settings, task["seed"])
+        settings = commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
     return DrawnMachine(_known(settings, task["known"]), mass_kg, rng)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from foundation.configuration import load
 from foundation.recording.reading import RecordingUnreadable
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.faults.kinds import MarkerCovered, OwnFault
+from plant_emulator.core.faults.kinds import OwnFault
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.recording import read_truth
 from plant_emulator.shell.truth_recorder import TruthRecorder
@@ -246,17 +246,3 @@ def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_goes(
     told = capsys.readouterr().out
     assert "not read, at byte" in told
     assert "first difference" not in told
-
-
-def test_a_tool_known_by_its_outline_is_replayed(tmp_path: Path) -> None:
-    """What was learnt of it comes from the recorded pictures again."""
-    settings = load_settings(CONFIGS, {"vision": {"recording": {"images": "raw"}}})
-    rig = LockstepRig(settings, 1, RunLog())
-    with closing(rig.record_in(tmp_path, "session 7")):
-        rig.command("enable")
-        run(rig.application.eyes.look(2))
-        rig.world.plant.inject(MarkerCovered(marker_id=0, share=1.0))
-        assert run(rig.application.eyes.look(2)).by_outline == 2
-    compared = replayed(tmp_path / FILES[2])
-    assert compared.first is None
-    assert compared.alike == compared.of

@@ -139,8 +139,6 @@ def test_what_was_not_seen_is_not_drawn() -> None:
     drawn = overlay(Seen(unseen, CAMERA, TOOL_ID), 0.1, 0.005, None)
     assert (drawn["aim"], drawn["object"], drawn["error_mm"]) == (None, None, None)
     assert drawn["missing"]["object"] == "ambiguous"
-    assert not drawn["by_outline"]
-    assert overlay(Seen(unseen._replace(by_outline=True), CAMERA, TOOL_ID), 0.1, 0.005, None)["by_outline"]
     behind = observed(a_look(), 5)._replace(X_CO=np.diag([1.0, 1.0, 1.0, 1.0]))
     assert overlay(Seen(behind, CAMERA, TOOL_ID), 0.1, 0.005, None)["object"] is None
 

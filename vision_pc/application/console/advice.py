@@ -64,7 +64,6 @@ _OF_CAUSE = {
     "measurement.not_settled": "The arm did not come to rest: look for what shakes it, then repeat the step.",
     "measurement.play_too_wide": "The joints have too much play for that: use another method.",
     "measurement.play_unseen": "Keep the view free and the scene lit; then repeat.",
-    "measurement.tool_moved": "The tool is not where it was: straighten it, or show its marker once again.",
     "measurement.odometry_lost": "Too little texture, or too fast: light the scene, keep the view free.",
     "measurement.camera_frozen": "The same picture comes again and again: start the camera anew.",
     "measurement.camera_off_calibration": "Calibrate the camera anew (longreach camera calibrate).",

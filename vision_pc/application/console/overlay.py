@@ -44,7 +44,6 @@ def overlay(seen: Seen, clearance_m: float, tolerance_m: float, told: ToldEllips
         "tool": None if X_CM is None else _axes(camera, X_CM),
         "object": None if X_CO is None else _axes(camera, X_CO),
         "missing": {"tool": observation.missing_tool, "object": observation.missing_object},
-        "by_outline": observation.by_outline,
         "error_mm": None,
         "aim": None,
     }

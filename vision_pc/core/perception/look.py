@@ -9,7 +9,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.config.vision import LookSettings, MarkerSettings
-from vision_pc.core.perception import markers, object_of_interest, remembered_tool
+from vision_pc.core.perception import markers, object_of_interest
 from vision_pc.core.perception.markers import Region, Sighting
 from vision_pc.core.perception.pose_statistics import robust_mean
 from vision_pc.core.perception.stereo_pose import Priors
@@ -29,20 +29,14 @@ def observe(
     """What ``pair`` shows of tool and object of interest.
 
     ``previous`` is the frame before: where its markers were is searched first, its poses decide an
-    ambiguous marker, its estimate of the right eye's offset is carried on, and what is remembered of the
-    tool stands in for a marker on it that cannot be read.
+    ambiguous marker, its estimate of the right eye's offset is carried on.
     """
     priors = priors_after(previous, settings, pair.capture_ns)
     found = _found(pair, settings, previous)
     sightings, unfit = markers.sight(pair, found.rough, camera, settings, priors)
-    memory = None if previous is None else previous.tool
-    sought = remembered_tool.sought(pair, sightings, unfit, memory, camera, settings, priors)
-    seen = FrameMarkers(sought.sightings, found.refused, sought.unfit, found.since_full_search)
+    seen = FrameMarkers(sightings, found.refused, unfit, found.since_full_search)
     stamp = FrameStamp(pair.frame_id, pair.capture_ns)
-    frame = observation_of(stamp, seen, camera, settings, priors, previous)
-    if sought.std_px is not None:
-        frame = remembered_tool.with_doubt(frame, sought.std_px, camera, settings)
-    return frame._replace(tool=remembered_tool.learnt(frame, pair, memory, camera, settings))
+    return observation_of(stamp, seen, camera, settings, priors, previous)
 
 
 def priors_after(previous: FrameObservation | None, settings: MarkerSettings, capture_ns: int) -> Priors:
@@ -133,7 +127,7 @@ def _missing(
     if any(sighting.observation.marker_id in ids for sighting in sightings):
         return "ambiguous"
     told = {unfit.get(number) for number in ids}
-    return next((reason for reason in ("wrong_size", "moved") if reason in told), "not_seen")
+    return "wrong_size" if "wrong_size" in told else "not_seen"
 
 
 class _Found(NamedTuple):
@@ -208,7 +202,6 @@ def combine(
         frames=tried,
         failed_tool=tried - tool_seen,
         failed_object=tried - target_seen,
-        by_outline=sum(o.by_outline for o in observations),
         cov_CM=tool_mean.noise + tool_mean.bias,
         cov_CO=target_mean.noise + target_mean.bias,
         frame_cov_CM=tool_mean.frame_noise,

@@ -132,15 +132,14 @@ def health_of_message(message: Any) -> WatchHealth:
 
 def look_of_message(message: Any) -> Look:
     """The look that a longreach.Look holds."""
-    told = [name for name in Look._fields if name not in ("offset", "by_outline")]
+    told = [name for name in Look._fields if name != "offset"]
     fields: dict[str, Any] = {name: getattr(message, name) for name in told}
     for name, value in fields.items():
         if name.startswith("X_"):
             fields[name] = np.reshape(value, (4, 4))
         elif "cov_" in name:
             fields[name] = np.reshape(value, (6, 6))
-    by_outline = getattr(message, "by_outline", 0)  # recordings of 0.1.0 do not tell it
-    return Look(**fields, offset=_offset(message), by_outline=by_outline)
+    return Look(**fields, offset=_offset(message))
 
 
 def sample_of_message(message: Any) -> WatchSample:

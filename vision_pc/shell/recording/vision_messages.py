@@ -139,7 +139,7 @@ LookMessage = message_class(
         *_place("CM"),
         *_place("CO"),
         *_several("X_CM", "X_CO", "X_BT", "cov_CM", "cov_CO", "frame_cov_CM", "frame_cov_CO"),
-        *_integers("frames", "failed_tool", "failed_object", "by_outline"),
+        *_integers("frames", "failed_tool", "failed_object"),
         *map(MessageField, _OFFSET),
     ],
 )

@@ -129,11 +129,10 @@ function words(overlay) {
   const of = (name, axes) => (axes ? `${name} seen` : `▲ ${name} ${(overlay.missing[name] ?? 'not_seen').replaceAll('_', ' ')}`);
   const residual = Math.max(...overlay.markers.map((marker) => marker.residual_px), 0);
   const error = overlay.error_mm ? ` · off by ${overlay.error_mm.map((mm) => signed(mm, 1)).join(' ')} mm` : '';
-  const tool = overlay.by_outline ? '▲ tool by its outline, marker unread' : of('tool', overlay.tool);
   const target = aimed();
   const object = target?.known === 'lost' ? '▲ target lost' : target?.known === 'carried' && !overlay.object ? 'target carried by odometry'
     : of(target ? 'target' : 'object', overlay.object);
-  return `${tool} · ${object} · marker fit ${residual.toFixed(2)} px${error}`;
+  return `${of('tool', overlay.tool)} · ${object} · marker fit ${residual.toFixed(2)} px${error}`;
 }
 
 const open = (points) => `M${points.map((point) => point.join(' ')).join('L')}`;
