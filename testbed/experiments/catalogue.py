@@ -143,11 +143,6 @@ OURS = {
         "how far off the tool ends at drill holes that were found and clicked, by one look each",
         "30 CPU s a hole",
     ),
-    "path-information": _one(
-        "positioning.path_information:PATH_INFORMATION",
-        "which calibration path tells most about where a goal will be hit, from its information matrix",
-        "0.1 CPU s",
-    ),
     "hua-fig5": _LOCALISATION,
     "hua-fig6": _LOCALISATION,
     "hua-fig7": _one(

@@ -34,7 +34,6 @@ _NO_LOAD = f"controller.parking.felt_mrad_bar={_NONE}"
 _NO_KEEPING = ("controller.parking.rest_ms=0.001", "controller.parking.rest_exact_ms=0.001", _NO_LOAD)
 _NO_NUDGES = "controller.parking.loaded=[false, false, false, false, false, false]"
 _LOCAL = "vision.programs.local_map"
-_NO_RULER = f"{_LOCAL}.ruler.enabled=false"
 _NO_CAMERA = "vision.markers.calibration.enabled=false"
 
 
@@ -62,12 +61,13 @@ RULES: Mapping[str, Rule] = {
     "load_feedback": Rule("load pressure in leak compensation", (REST,), (_NO_LOAD,)),
     "pressure_pulses": Rule("pressure-terminated pulses", (REST,), (_NO_NUDGES,)),
     "backlash_sides": Rule("sides of backlash", (LOOK, REST), sides=False),
-    "adaptive": Rule("adaptive motions", (LOOK,), (f"{_LOCAL}.adaptive.enabled=false",)),
-    "more_corrections": Rule("more corrections while outside", (LOOK,), (f"{_LOCAL}.adaptive.outside=0",)),
-    "lengths": Rule("scale and camera calibration", (LOOK,), (_NO_RULER, _NO_CAMERA)),
-    "scale": Rule("scale calibration", (LOOK,), (_NO_RULER,)),
+    "take_up": Rule(
+        "take-up that learns", (LOOK,), (f"{_LOCAL}.take_up.most_rad=7.0e-4", f"{_LOCAL}.take_up.repeats=0")
+    ),
+    "more_corrections": Rule(
+        "more corrections while outside", (LOOK,), ("vision.programs.positioning.outside=0",)
+    ),
     "camera": Rule("camera calibration", (LOOK,), (_NO_CAMERA,)),
-    "lens_share": Rule("share of a lens in the scale", (LOOK,), (f"{_LOCAL}.adaptive.lens_share=0.0",)),
     "camera_time": Rule(
         "camera delay, waiting for rest", (LOOK,),
         (f"{_LOCAL}.delay_std_s=0.0", f"{_LOCAL}.at_rest.pictures=1"),

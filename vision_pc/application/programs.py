@@ -268,7 +268,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         body=LocalTrackBody,
         settings=lambda application: application.settings.local_map,
         core=local_error_model.record_local_track,
-        source="the best mode, part one (below)",
+        source="local error model (below)",
     ),
     Program(
         "look-then-move",
@@ -279,7 +279,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         settings=lambda application: LookThenMoveSettings(**application.settings.positioning.model_dump()),
         needs=(*MOVING, calibration_of_the_method, known_target),
         core=look_then_move.look_then_move,
-        source="Mäkinen et al. 2023, (20)-(22); `corrected_positioning.py`: the best mode, part two (below)",
+        source="Mäkinen et al. 2023, (20)-(22); `corrected_positioning.py`: corrected positioning (below)",
     ),
     Program(
         "looking-and-moving",

@@ -89,52 +89,22 @@ class TrajectorySettings(StrictModel):
     rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
 
 
-class AdaptiveDriveSettings(StrictModel):
-    """Drives that learn from the encoders how far joints must turn back to end alike.
+class TakeUpSettings(StrictModel):
+    """Short turns of slew, lift and tilt that end every motion on the same side of their backlash.
 
-    ``boom_take_up_rad``: of lift and tilt, as ``take_up_rad`` is of the slew. A joint whose commanded and
-    measured angles were seen farther apart than ``gap_rad`` at rest turns back by ``bands`` times that,
-    ``most_rad`` at most. What is left beyond ``residual_rad`` is waited for or driven again, at most
-    ``repeats`` times.
-    ``servo_std_m``: in place of the local map's, where machines need this. ``servo_freedom``: how many drives
-    it is worth before any was seen. A joint that does not answer in a band is less exact: by ``band_std_m``.
-    Where odometry's lengths differ from the arm's by more than ``lens_from``, the lenses differ, and the look
-    does not share ``lens_share`` of the rest.
-    ``outside``: drives beyond the positioning's corrections while odometry sees the tool outside half of the
-    tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are worth correcting by
-    less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop step.
+    ``slew_rad`` within ``duration_s``, ``boom_rad`` of lift and tilt. A joint whose commanded and measured
+    angles were seen farther apart than ``gap_rad`` at rest turns back by ``bands`` times that, ``most_rad``
+    at most. A residual beyond ``residual_rad`` is waited for or driven again, at most ``repeats`` times.
     """
 
-    enabled: bool
-    boom_take_up_rad: float = Field(ge=0.0, le=0.02)
+    slew_rad: float = Field(ge=0.0, le=0.02)
+    boom_rad: float = Field(ge=0.0, le=0.02)
+    duration_s: Seconds
     gap_rad: float = Field(ge=0.0, le=0.1)
     bands: float = Field(ge=1.0, le=10.0)
     most_rad: float = Field(gt=0.0, le=0.1)
     residual_rad: float = Field(gt=0.0, le=0.01)
     repeats: int = Field(ge=0, le=10)
-    servo_std_m: float = Field(ge=0.0, le=0.05)
-    servo_freedom: float = Field(gt=2.0, le=1000.0)
-    band_std_m: float = Field(ge=0.0, le=0.05)
-    lens_from: float = Field(ge=0.0, le=0.1)
-    lens_share: float = Field(ge=0.0, le=1.0)
-    outside: int = Field(ge=0, le=10)
-    nudge_m: float = Field(gt=0.0, le=0.1)
-    leg_end_std_m: float = Field(ge=0.0, le=0.05)
-
-
-class RulerSettings(StrictModel):
-    """Odometry's lengths by the object's markers, seen along the legs.
-
-    ``spread``: how much the two are expected to differ where nothing tells otherwise, relative. ``noise_m``:
-    least noise of one sighting; ``independent``: how many sightings all of the legs are worth. ``carried``:
-    share of the difference that may be otherwise elsewhere.
-    """
-
-    enabled: bool
-    spread: float = Field(gt=0.0, le=0.1)
-    noise_m: float = Field(gt=0.0, le=0.05)
-    independent: float = Field(ge=1.0, le=1000.0)
-    carried: float = Field(ge=0.0, le=1.0)
 
 
 class AtRestSettings(StrictModel):
@@ -150,17 +120,17 @@ class AtRestSettings(StrictModel):
 
 
 class LocalErrorModelSettings(StrictModel):
-    """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
+    """Three legs along n, s and a, a local error model, and corrections by odometry.
 
-    Priors of the map: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
-    (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad).
-    A drive ends with a turn of the slew by ``take_up_rad`` within ``take_up_s``: it takes up the play, and
-    is slow enough not to swing back through it. The encoder turning back by twice ``reversal_rad`` tells the
-    other flank. ``noise_std_m`` of one sample at rest, ``sway_s`` metres more for every m/s.
-    ``goal_std_limit_m``: a goal known worse is refused before moving.
-    ``first_share`` of a way longer than ``near_m`` is driven before the first correction.
-    ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures;
-    ``servo_std_m``: what the joints leave.
+    Priors of the model: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
+    (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad). The
+    encoder turning back by twice ``reversal_rad`` tells the other side of the backlash. ``noise_std_m`` of
+    one sample at rest, ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal known worse is
+    refused before moving. ``first_share`` of a way longer than ``near_m`` is driven before the first
+    correction. ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures.
+    ``servo_std_m``: what the joints leave of a motion, known as well as from ``servo_freedom`` motions;
+    ``band_std_m`` more where a joint does not answer in a band. ``leg_end_std_m``: what else than backlash
+    shaped each end of a leg, of a motion that nothing corrects.
     """
 
     leg_m: float = Field(ge=0.05, le=0.5)
@@ -171,17 +141,17 @@ class LocalErrorModelSettings(StrictModel):
     strain_std: float = Field(gt=0.0, le=0.2)
     field_stds: tuple[Small, Small, Small, Small]
     play_std: Small
-    take_up_rad: float = Field(ge=0.0, le=0.02)
-    take_up_s: Seconds
+    take_up: TakeUpSettings
     reversal_rad: float = Field(gt=0.0, le=0.02)
     noise_std_m: float = Field(gt=0.0, le=0.05)
     sway_s: float = Field(ge=0.0, le=1.0)
     delay_std_s: float = Field(ge=0.0, le=1.0)
     odometry_std_m: float = Field(ge=0.0, le=0.05)
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
-    servo_std_m: float = Field(ge=0.0, le=0.05)
-    adaptive: AdaptiveDriveSettings
-    ruler: RulerSettings
+    servo_std_m: float = Field(gt=0.0, le=0.05)
+    servo_freedom: float = Field(gt=2.0, le=1000.0)
+    band_std_m: float = Field(ge=0.0, le=0.05)
+    leg_end_std_m: float = Field(ge=0.0, le=0.05)
     at_rest: AtRestSettings
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     first_share: float = Field(ge=0.3, le=0.98)
@@ -193,9 +163,9 @@ class LocalErrorModelSettings(StrictModel):
 class PositioningSettings(StrictModel):
     """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know.
 
-    ``corrections``: drives after the first one that the corrected form may make by odometry alone; none: one
-    shot. Beyond the rest of the way they are nudges, while the error that odometry measures exceeds
-    ``nudge_m``.
+    ``corrections``: motions after the first one that the corrected form may make by odometry alone; none: one
+    open-loop step. They follow while odometry's error exceeds ``nudge_m`` and another one is worth it;
+    ``outside`` more while odometry sees the tool outside half of the tolerance.
     An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
     smaller step a gamble. ``axis_std_rad``: how far the camera's axis, along which ``clearance_m`` is kept,
     is off where its calibration has it; 0: it is there.
@@ -211,7 +181,8 @@ class PositioningSettings(StrictModel):
     strain_std: float = Field(ge=0.0, le=0.2)
     servo_std_m: float = Field(ge=0.0, le=0.05)
     corrections: int = Field(ge=0, le=10)
-    nudge_m: float = Field(ge=0.0, le=0.1)
+    outside: int = Field(ge=0, le=10)
+    nudge_m: float = Field(gt=0.0, le=0.1)
     axis_std_rad: float = Field(ge=0.0, le=0.1)
 
 

@@ -144,11 +144,6 @@ COINCIDENCES = {
         "scene.camera.rectification.vertical_px",
     ): "a spread of focal lengths, and rows",
     ("vision.markers.calibration.exposed_s", "plant.valves.*.delay_ms"): "a choice of pictures, and a drive",
-    (
-        "vision.programs.local_map.ruler.noise_m",
-        "scene.object_of_interest.*.misplaced_m*",
-    ): "of odometry, and a print",
-    ("vision.programs.local_map.ruler.carried", "plant.errors.encoder_noise.rms_lsb"): "a share, and digits",
 }
 """Pairs of different things that happen to be equal: patterns of both keys → what they are."""
 

@@ -16,7 +16,7 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
     watched_path,
 )
-from vision_pc.core.calibration.watched_drive import first_take_up
+from vision_pc.core.calibration.take_up import first_take_up
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
 
@@ -100,7 +100,7 @@ async def test_a_track_begins_with_the_mean_of_what_rested() -> None:
     samples = list(watch.samples)
     samples += [WatchSample((16 + k) * 100_000_000, np.eye(4), _at(0.5), None, None) for k in range(8)]
     rested = begun_at(tracked(watch.samples), found, SIXTEEN.agree_m)
-    first, mean = (track_of(tuple(samples), 0.0, begun).X_KC[0, 0, 3] for begun in (None, rested))
+    first, mean = (track_of(tuple(samples), begun).X_KC[0, 0, 3] for begun in (None, rested))
     assert first == pytest.approx(-0.5 + ROCKS_M)
     assert mean == pytest.approx(-0.5, abs=0.2 * ROCKS_M)
 
@@ -151,8 +151,8 @@ async def test_a_drive_is_watched_from_rest_to_rest() -> None:
         path = three_legs(here, 0.2)
         seen[name] = await watched_path(rig, rig, path, first_take_up(asked), BOOM, asked)
     assert len(seen["sixteen"].X_BT) >= len(seen["one"].X_BT) + 31
-    assert seen["one"].unrest == 0.0
-    assert 0.0 < seen["sixteen"].unrest < 1e-3
+    assert seen["one"].residual_motion == 0.0
+    assert 0.0 < seen["sixteen"].residual_motion < 1e-3
     rig = SyntheticRig(draw(np.random.default_rng(3), glitch_share=0.0), 3)
     track = await record_local_track(rig, rig, silent, settings, BOOM)
-    assert track.unrest > 0.0
+    assert track.residual_motion > 0.0

@@ -13,10 +13,8 @@ PROGRAMS = shipped()
 MAP, POSITIONING = PROGRAMS.local_map, PROGRAMS.positioning
 
 
-def settings(outside: int, servo_std_m: float = 3e-4) -> LocalErrorModelSettings:
-    changed = {"enabled": True, "outside": outside, "servo_std_m": servo_std_m}
-    adaptive = MAP.adaptive.model_dump() | changed
-    return LocalErrorModelSettings.model_validate(MAP.model_dump() | {"adaptive": adaptive})
+def settings(servo_std_m: float = 3e-4) -> LocalErrorModelSettings:
+    return MAP.model_copy(update={"servo_std_m": servo_std_m})
 
 
 @pytest.mark.parametrize(
@@ -26,10 +24,10 @@ async def test_what_odometry_sees_far_off_is_driven_again_unless_one_shot_was_as
     off_mm: float, corrections: int, drives: int
 ) -> None:
     arm = SyntheticRig(draw(np.random.default_rng(10), servo_std=2e-5), 10)
-    track = await record_local_track(arm, arm, silent, settings(4), BOOM)
+    track = await record_local_track(arm, arm, silent, settings(), BOOM)
     asked = POSITIONING.model_copy(update={"corrections": corrections})
     residuals, parts = [np.array([0.5, 0.0, 0.5])], 2 if corrections else 1
-    while _needs_another_motion(residuals, parts, track, asked, settings(4)):
+    while _needs_another_motion(residuals, parts, track, asked, settings()):
         residuals.append(np.array([1e-3 * off_mm, 0.0, 0.0]))
     assert len(residuals) - 1 == drives
 
@@ -40,7 +38,7 @@ async def test_what_a_scattering_arm_leaves_is_weighed_with_all_drives_that_may_
 ) -> None:
     """Before the last drive of all, ends 3.0 mm off are kept where drives end 2.1 mm apart an axis."""
     arm = SyntheticRig(draw(np.random.default_rng(10), servo_std=2e-5), 10)
-    scatters = settings(4, servo_std_m=2.1e-3)
+    scatters = settings(servo_std_m=2.1e-3)
     track = await record_local_track(arm, arm, silent, scatters, BOOM)
     residuals = [np.array([0.5, 0.0, 0.5])]
     while _needs_another_motion(residuals, 2, track, POSITIONING, scatters):

@@ -8,26 +8,12 @@ always on one side (as a machinist approaches a dimension).
 
 import numpy as np
 
-from vision_pc.core.se3 import Array, transform
-
-
-def before_take_up(X_BT: Array, turn_rad: float) -> Array:
-    """The pose (4, 4) from which the take-up, a turn of the slew by ``turn_rad``, ends at ``X_BT``.
-
-    The tool's axes are held.
-    """
-    return transform(X_BT[:3, :3], X_BT[:3, 3] - turn_rad * slew_lever(X_BT))
+from vision_pc.core.se3 import Array
 
 
 def slew_lever(X_BT: Array) -> Array:
     """Displacement (3,) of the TCP at ``X_BT`` in B for each radian of slew, m/rad."""
     return np.array([-X_BT[1, 3], X_BT[0, 3], 0.0])
-
-
-def slew_between(X_BT: Array, Y_BT: Array) -> float:
-    """The turn (rad) of the slew that is in the small step between two poses (4, 4)."""
-    lever = slew_lever(X_BT)
-    return float(lever @ (Y_BT[:3, 3] - X_BT[:3, 3]) / (lever @ lever))
 
 
 def slew_angles(X_BT: Array, wrist_to_tool_m: float) -> Array:

@@ -19,13 +19,11 @@ from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
 from vision_pc.core.calibration.backlash import (
     backlash_sides,
     slew_angles,
-    slew_between,
     slew_lever,
 )
 from vision_pc.core.calibration.camera_at_rest import at_rest, begun_at, tracked
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
-from vision_pc.core.calibration.odometry_ruler import SHARED, Ruler, fitted_ruler
-from vision_pc.core.calibration.watched_drive import TakeUp, drive, first_take_up
+from vision_pc.core.calibration.take_up import TakeUp, first_take_up, move_with_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
@@ -49,23 +47,20 @@ class LocalTrack(NamedTuple):
 
     K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
     tool: a moving boom sways, which its encoders do not measure; ``velocity`` (N, 3) m/s in B.
-    ``overrun`` (P,) rad: servo residual of the slew at the end of each path so far, positive beyond the
-    reference. ``left`` (P, 3) rad: the same of slew, lift and tilt; ``take_up``: how the last path ended.
-    ``misses`` (D, 3) m in B: how far from what was wanted fine drives ended, by odometry. ``ruler``: what
-    makes odometry's lengths the look's, already in ``X_KC``; None where it is not asked for or not told.
-    ``unrest`` m: how far the tool was seen to go to and fro, by its encoders, where it should have rested.
+    ``joint_residuals`` (P, 3) rad: servo residual of slew, lift and tilt at the end of each path so far,
+    positive beyond the reference; ``take_up``: how the last path ended. ``residuals`` (D, 3) m in B: how
+    far from their goal motions ended, by odometry. ``residual_motion`` m: how far the tool was seen to go
+    to and fro where it should have rested.
     """
 
     X_KC: Array
     X_BT: Array
     speed: Array
     velocity: Array
-    overrun: Array
-    left: Array
+    joint_residuals: Array
     take_up: TakeUp
-    misses: Array
-    ruler: Ruler | None = None
-    unrest: float = 0.0
+    residuals: Array
+    residual_motion: float = 0.0
 
     @property
     def X_BT_now(self) -> Array:
@@ -119,8 +114,7 @@ async def record_local_track(
     X_BT = (await arm.view()).X_BT
     report(0.05, f"three legs of {settings.leg_m:g} m")
     waypoints = three_legs(X_BT, settings.leg_m)
-    markers, first = settings.ruler.enabled, first_take_up(settings)
-    track = await watched_path(arm, eyes, waypoints, first, dimensions, settings, markers)
+    track = await watched_path(arm, eyes, waypoints, first_take_up(settings), dimensions, settings, True)
     refuse_poor_track(track, settings)
     report(1.0, f"{len(track.X_BT)} samples")
     return track
@@ -144,41 +138,22 @@ async def watched_path(
 ) -> LocalTrack:
     """Drive a path through ``waypoints``; return its track, in the camera frame of its end.
 
-    With ``markers``, its ruler from them.
-
-    The last waypoint is reached by short turns in one sense, after the arm has settled before them: backlash
-    is then always on the same side.
+    ``markers``: seen on the way, they tell how far the camera is off its calibration.
     """
     async with eyes.watch(markers=markers, odometry=True) as watch:
         begun = await at_rest(watch, settings.at_rest)
         first = begun_at(tracked(watch.samples), begun, settings.at_rest.agree_m)
-        end = await drive(arm, waypoints, take_up, dimensions, settings)
+        end = await move_with_take_up(arm, waypoints, take_up, dimensions, settings)
         ended = await at_rest(watch, settings.at_rest, len(watch.samples))
-    overrun = slew_between(end.view.X_BT_cmd, end.view.X_BT)
-    track = track_of(watch.samples, overrun, first, max(AT_REST, settings.at_rest.pictures))
-    swings = (end.take_up.unrest_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
-    track = track._replace(left=end.left[None], take_up=end.take_up, unrest=max(swings))
-    if not markers:
-        return track
-    held = [s.X_CO for s in watch.samples if s.X_C0C is not None]
-    unseen = np.full(3, np.nan)
-    p_CO = np.array([unseen if X is None else X[:3, 3] for X in held])
-    measured = ruled(track, fitted_ruler(track.X_KC, p_CO, settings.ruler))
-    newest = watch.samples[-1].observation
-    found = newest is not None and newest.errors is not None
-    return measured._replace(ruler=SHARED) if found else measured
-
-
-def ruled(track: LocalTrack, ruler: Ruler | None) -> LocalTrack:
-    """``track``, as odometry measured it, in the look's lengths."""
-    return track if ruler is None else track._replace(X_KC=ruler.measured(track.X_KC), ruler=ruler)
+    track = track_of(watch.samples, first, max(AT_REST, settings.at_rest.pictures))
+    swings = (end.take_up.swing_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
+    return track._replace(
+        joint_residuals=end.residual[None], take_up=end.take_up, residual_motion=max(swings)
+    )
 
 
 def track_of(
-    samples: tuple[WatchSample, ...],
-    overrun: float,
-    first: Array | None = None,
-    ended: int = AT_REST,
+    samples: tuple[WatchSample, ...], first: Array | None = None, ended: int = AT_REST
 ) -> LocalTrack:
     """The track of a watch, from the camera at ``first`` (4, 4; None: as its first picture has it) on.
 
@@ -200,9 +175,7 @@ def track_of(
     time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
     speeds, velocity = _speeds(X_BT[:, :3, 3], time_s), _velocities(X_BT[:, :3, 3], time_s)
     nothing = TakeUp(np.zeros(3), np.zeros(3), np.zeros(3))
-    return LocalTrack(
-        X_KC, X_BT, speeds, velocity, np.array([overrun]), np.zeros((1, 3)), nothing, np.zeros((0, 3))
-    )
+    return LocalTrack(X_KC, X_BT, speeds, velocity, np.zeros((1, 3)), nothing, np.zeros((0, 3)))
 
 
 def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
@@ -213,12 +186,10 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([track.X_BT, further.X_BT]),
         np.concatenate([track.speed, further.speed]),
         np.concatenate([track.velocity, further.velocity]),
-        np.concatenate([track.overrun, further.overrun]),
-        np.concatenate([track.left, further.left]),
+        np.concatenate([track.joint_residuals, further.joint_residuals]),
         further.take_up,
-        np.concatenate([track.misses, further.misses]),
-        track.ruler,
-        further.unrest,
+        np.concatenate([track.residuals, further.residuals]),
+        further.residual_motion,
     )
 
 

@@ -13,22 +13,18 @@ import numpy as np
 from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
-from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import (
     CameraDelay,
     LocalErrorModel,
     LocalTrack,
     extended,
     fit_error_model,
-    ruled,
     solve_step,
     watched_path,
 )
-from vision_pc.core.calibration.watched_drive import widened_by_sight
+from vision_pc.core.calibration.take_up import widened_by_sight
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
-from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, looked_at_end, seen_end
-from vision_pc.core.positioning.learned_servo import expected_left, servo_spread, worth_correcting
 from vision_pc.core.positioning.look_then_move import (
     Ended,
     LookVerdict,
@@ -38,18 +34,24 @@ from vision_pc.core.positioning.look_then_move import (
     positioning_error,
     reached,
 )
+from vision_pc.core.positioning.predicted_end import (
+    PlannedStep,
+    end_by_look,
+    end_by_odometry,
+    predicted_end,
+)
+from vision_pc.core.positioning.servo_residual import expected_residual, servo_spread, worth_correcting
 from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
-_USELESS = 2  # fine corrections in a row that brought no improvement
-_DOUBTFUL = 0.5  # of the tolerance: what is told beforehand does not expect ends farther off
+_DOUBTFUL = 0.5  # of the tolerance: what is predicted does not expect ends farther off
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
 class CorrectedResult(NamedTuple):
     """The result, the error in K axes that odometry measured before the last look, and the track so far.
 
-    Without a step, what was ``seen`` is what the one look tells.
+    Without a step, ``seen`` is what the one look says.
     ``delay``: of the camera, as the newest model has it; None where it was not asked for.
     """
 
@@ -65,7 +67,7 @@ class CorrectedResult(NamedTuple):
 
     @property
     def expected(self) -> ExpectedEnd:
-        """What was told of the end before anything moved."""
+        """What was predicted of the end before anything moved."""
         steps = self.positioning.steps
         return steps[0].expected if steps else self.seen
 
@@ -79,9 +81,9 @@ async def look_then_move_corrected(
     dimensions: BoomDimensions,
     track: LocalTrack,
 ) -> CorrectedResult:
-    """The result of one look, two drives with a correction between them, and a look for the verdict.
+    """The result of one look, motions with corrections between them, and a look for the verdict.
 
-    Where drives adapt, a tool that stands nearer to its goal than they are expected to leave it stays there.
+    A tool that stands nearer to its goal than motions are expected to leave it stays there.
     ``track`` must end where the arm stands. Raises MeasurementFailed when the arm was moved since
     (``measurement.calibration_stale``), the step is too long, or odometry is lost; errors of arm and eyes
     pass through.
@@ -100,58 +102,54 @@ async def look_then_move_corrected(
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
         x, covariance = solve_step(fitted, residuals[-1])
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
-        wanted = Wanted(x, covariance, share, max(settings.corrections + 1 - len(steps), 1))
-        steps.append(_step(look, fitted, track, wanted, settings, map_settings))
+        planned = PlannedStep(x, covariance, share, max(settings.corrections + 1 - len(steps), 1))
+        steps.append(_step(look, fitted, track, planned, settings, map_settings))
         report(0.2 + 0.6 * min(len(steps) / (settings.corrections + 1), 1.0), _in_words(residuals[-1]))
-        path = watched_path(arm, eyes, [steps[-1].X_BT_ref], track.take_up, dimensions, map_settings)
-        drive = ruled(await path, track.ruler)
-        goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
+        motion = await watched_path(arm, eyes, [steps[-1].X_BT_ref], track.take_up, dimensions, map_settings)
+        goal_K = motion.X_KC[0][:3, :3] @ goal_K + motion.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
-        missed = fitted.R @ residuals[-1] if share == 1.0 else None
-        track = _gone_on(track, drive, missed, map_settings)
-    seen = seen_end(residuals, look, fitted, track, settings, map_settings)
+        residual_B = fitted.R @ residuals[-1] if share == 1.0 else None
+        track = _track_with(track, motion, residual_B, map_settings)
+    seen = end_by_odometry(residuals, look, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks = judge(look, settings), judge(await eyes.look(), settings)
     report(1.0, _error_in_words(looks[-1]))
-    unresolved = map_settings.adaptive.enabled and np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
+    unresolved = np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
     stopped = Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
     ended = Ended.REACHED if reached(looks[-1], settings) else stopped
     return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track, fitted.delay)
 
 
-def _gone_on(
-    track: LocalTrack, drive: LocalTrack, missed: Array | None, settings: LocalErrorModelSettings
+def _track_with(
+    track: LocalTrack, motion: LocalTrack, residual: Array | None, settings: LocalErrorModelSettings
 ) -> LocalTrack:
-    """``track`` with a ``drive`` that by odometry ``missed`` its goal by (3,) m in B; None: it had none."""
-    if missed is None:
-        return extended(track, drive._replace(misses=np.zeros((0, 3))))
-    track = extended(track, drive._replace(misses=missed[None]))
-    if not settings.adaptive.enabled:
-        return track
-    return track._replace(take_up=widened_by_sight(track.take_up, missed, track.X_BT_now, settings))
+    """``track`` with a ``motion`` that by odometry left a ``residual`` (3,) m in B; None: it had no goal."""
+    if residual is None:
+        return extended(track, motion)
+    track = extended(track, motion._replace(residuals=residual[None]))
+    return track._replace(take_up=widened_by_sight(track.take_up, residual, track.X_BT_now, settings))
 
 
 def _stayed(look: Look, track: LocalTrack, settings: PositioningSettings, report: Report) -> CorrectedResult:
-    """The result without a step: what ``look`` tells of a tool that stays where it is."""
+    """The result without a step: what ``look`` says of a tool that stays where it is."""
     verdict = judge(look, settings)
-    report(1.0, f"{_error_in_words(verdict)}: nearer than drives end")
+    report(1.0, f"{_error_in_words(verdict)}: nearer than motions end")
     ended = Ended.REACHED if reached(verdict, settings) else Ended.NEAR_ENOUGH
-    seen = looked_at_end(verdict.error_m, look, track, settings)
+    seen = end_by_look(verdict.error_m, look, track, settings)
     return CorrectedResult(PositioningResult((verdict,), (), ended), seen, track)
 
 
 def _stands_near_enough(
     residual: Array, track: LocalTrack, settings: PositioningSettings, map_settings: LocalErrorModelSettings
 ) -> bool:
-    """Whether a look's ``residual`` (3,) is less than the drives that may follow are expected to leave.
+    """Whether a look's ``residual`` (3,) is less than the motions that may follow are expected to leave.
 
-    An open-loop step is one drive that was asked for.
+    An open-loop step is one motion that was asked for.
     """
-    adaptive = map_settings.adaptive
-    if not adaptive.enabled or not settings.corrections or abs(residual[2]) > settings.depth_aim_m:
+    if not settings.corrections or abs(residual[2]) > settings.depth_aim_m:
         return False
     variance = servo_spread(track, map_settings).variance
-    enough = worth_correcting(variance, adaptive.nudge_m, settings.corrections + 1)
+    enough = worth_correcting(variance, settings.nudge_m, settings.corrections + 1)
     return math.hypot(residual[0], residual[1]) <= enough
 
 
@@ -162,29 +160,24 @@ def _needs_another_motion(
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
 ) -> bool:
-    """Whether a further drive is due after the ``residuals`` (3,) before it, as odometry saw them.
+    """Whether a further motion is due after the ``residuals`` (3,) before it, as odometry saw them.
 
-    The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
-    is outside ``nudge_m``, until two in a row were of no use: the first may have gone into backlash. Where
-    drives adapt, they follow while another one is worth it after what they left in ``track``; and while
-    odometry sees the tool outside half of the tolerance there may be ``adaptive.outside`` more of them, for
-    ends that scatter widely may still come inside. But for an open-loop step, which is one drive.
+    The first ``parts`` motions make up the whole way. Corrections follow while another one is worth it
+    after what motions left in ``track``; while odometry sees the tool outside half of the tolerance there
+    may be ``outside`` more of them, for ends that scatter widely may still come inside. An open-loop step
+    is one motion.
     """
-    drives = len(residuals) - 1
-    if drives < parts:
+    motions = len(residuals) - 1
+    if motions < parts:
         return True
-    adaptive = map_settings.adaptive
     far_off = np.abs(residuals[-1][:2]).max() > _DOUBTFUL * settings.tolerance_m
-    more = adaptive.outside if adaptive.enabled and settings.corrections and far_off else 0
-    left = settings.corrections + 1 + more - drives
-    if left < 1:
+    more = settings.outside if settings.corrections and far_off else 0
+    allowed = settings.corrections + 1 + more - motions
+    if allowed < 1:
         return False
-    sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
-    if adaptive.enabled:
-        variance = servo_spread(track, map_settings).variance
-        return sizes[-1] > worth_correcting(variance, adaptive.nudge_m, left)
-    useless = len(sizes) - 1 - int(np.argmin(sizes))
-    return sizes[-1] > settings.nudge_m and useless < _USELESS
+    variance = servo_spread(track, map_settings).variance
+    enough = worth_correcting(variance, settings.nudge_m, allowed)
+    return math.hypot(residuals[-1][0], residuals[-1][1]) > enough
 
 
 def _error_in_words(verdict: LookVerdict) -> str:
@@ -199,7 +192,7 @@ def _step(
     look: Look,
     fitted: LocalErrorModel,
     track: LocalTrack,
-    wanted: Wanted,
+    planned: PlannedStep,
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
 ) -> Step:
@@ -207,13 +200,13 @@ def _step(
 
     Raises MeasurementFailed for a step too long, or a goal that is not known.
     """
-    length = float(np.linalg.norm(wanted.x))
+    length = float(np.linalg.norm(planned.x))
     if not length <= settings.step_limit_m:
         raise MeasurementFailed(
             "measurement.step_too_large",
             f"corrected move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
         )
-    worst = math.sqrt(float(np.linalg.eigvalsh(wanted.covariance)[-1]))
+    worst = math.sqrt(float(np.linalg.eigvalsh(planned.covariance)[-1]))
     if worst > map_settings.goal_std_limit_m:
         raise MeasurementFailed(
             "measurement.ill_conditioned",
@@ -221,13 +214,10 @@ def _step(
             f"limit {1e3 * map_settings.goal_std_limit_m:g} mm",
         )
     X_BT = fitted.X_BT
-    if map_settings.adaptive.enabled:
-        expected = expected_left(track, fitted.dimensions, map_settings)
-    else:  # the mean, shrunk: half of it is chance
-        expected = slew_lever(X_BT) * track.overrun.sum() / (len(track.overrun) + 1)
-    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + wanted.share * wanted.x - expected)
-    end = foreseen_end(look, fitted, track, wanted, settings, map_settings)
-    return Step(wanted.share * wanted.x, X_BT_ref, end)
+    residual = expected_residual(track, fitted.dimensions, map_settings)
+    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + planned.share * planned.x - residual)
+    end = predicted_end(look, fitted, track, planned, settings, map_settings)
+    return Step(planned.share * planned.x, X_BT_ref, end)
 
 
 def _refuse_stale(track: LocalTrack, look: Look) -> None:

@@ -1,4 +1,4 @@
-"""What is told of a drive that nothing corrects, where joints have play."""
+"""What is predicted of a motion that nothing corrects, where joints have backlash."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,7 @@ from vision_pc.core.calibration.local_error_model import (
     solve_step,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.positioning.corrected_positioning import look_then_move_corrected
-from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end
+from vision_pc.core.positioning.predicted_end import PlannedStep, predicted_end
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoOffset
 
@@ -24,8 +23,7 @@ ONE_DRIVE = PROGRAMS.positioning.model_copy(update={"corrections": 0})
 
 
 def adapting(**changes: float) -> LocalErrorModelSettings:
-    adaptive = PROGRAMS.local_map.adaptive.model_copy(update={"enabled": True, **changes})
-    return PROGRAMS.local_map.model_copy(update={"adaptive": adaptive})
+    return PROGRAMS.local_map.model_copy(update=changes)
 
 
 class PlayingRig(SyntheticRig):
@@ -47,45 +45,31 @@ async def calibrated(seed: int) -> tuple[PlayingRig, LocalTrack]:
     return arm, await record_local_track(arm, arm, silent, adapting(), BOOM)
 
 
-async def test_an_open_loop_step_is_told_as_wide_as_play_makes_it() -> None:
-    """Told without what lift and tilt leave in the legs, error² over variance was 2.0. No more is here."""
-    squares, local_map = [], adapting(leg_end_std_m=0.0)
-    for seed in range(10, 22):
-        arm, track = await calibrated(seed)
-        result = await look_then_move_corrected(arm, arm, silent, ONE_DRIVE, local_map, BOOM, track)
-        error = arm.true_error(ONE_DRIVE.clearance_m)[:2]
-        told = result.positioning.steps[0].expected.covariance[:2, :2]
-        squares.append(float(error @ np.linalg.solve(told, error)) / 2.0)
-    assert 0.3 < np.mean(squares) < 1.6, squares
-
-
-async def test_play_is_told_of_one_drive_and_not_of_corrected_ones() -> None:
-    """The slew's other flank along its lever, at the end and in the legs; lift and tilt in the legs alone."""
+async def test_the_slews_backlash_is_predicted_of_one_motion_and_not_of_corrected_ones() -> None:
+    """The slew's other side along its lever, at the end and in the legs; what else such ends differ by."""
     arm, track = await calibrated(10)
     look = await arm.look()
     fitted = fit_error_model(track, look.X_CM[:3, 3], BOOM, adapting())
     assert 0.4 < fitted.slew_play / arm.truth.play < 1.3  # the legs' other errors are in it
 
-    def told(way_m: float, corrections: int, take_up_rad: float, else_m: float = 0.0) -> Array:
+    def predicted(way_m: float, corrections: int, else_m: float = 0.0) -> Array:
         settings = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
         x, covariance = solve_step(fitted, np.array([way_m, 0.0, 0.0]))
-        wanted = Wanted(x, covariance, 1.0, 1)
-        local_map = adapting(boom_take_up_rad=take_up_rad, leg_end_std_m=else_m)
-        camera = foreseen_end(look, fitted, track, wanted, settings, local_map).covariance
+        step, local_map = PlannedStep(x, covariance, 1.0, 1), adapting(leg_end_std_m=else_m)
+        camera = predicted_end(look, fitted, track, step, settings, local_map).covariance
         return fitted.R @ camera @ fitted.R.T
 
-    assert np.array_equal(told(0.8, 4, 3e-4, 2e-3), told(0.8, 4, 0.0))
+    assert np.array_equal(predicted(0.8, 4, 2e-3), predicted(0.8, 4))
     lever = slew_lever(fitted.X_BT)
     along = lever / np.linalg.norm(lever)
     across = np.array([-along[1], along[0], 0.0])
     x = solve_step(fitted, np.array([0.8, 0.0, 0.0]))[0]
     in_legs = float(x @ x) / (2.0 * PROGRAMS.local_map.leg_m**2)
-    alone = told(0.8, 0, 0.0)
-    flank = along @ alone @ along - across @ alone @ across
-    assert flank == pytest.approx((1.0 + in_legs) * (fitted.slew_play * np.linalg.norm(lever)) ** 2, rel=0.1)
-    carried = [across @ (told(way, 0, 3e-4) - told(way, 0, 0.0)) @ across for way in (0.2, 0.8)]
-    assert carried[1] == pytest.approx(16.0 * carried[0], rel=0.05)
-    other = told(0.8, 0, 0.0, 2e-3) - alone
+    alone = predicted(0.8, 0)
+    side = along @ alone @ along - across @ alone @ across
+    whole = (2.0 * fitted.slew_play * np.linalg.norm(lever)) ** 2
+    assert side == pytest.approx(0.5 * (1.0 + in_legs) * whole, rel=0.1)
+    other = predicted(0.8, 0, 2e-3) - alone
     assert across @ other @ across == pytest.approx(in_legs * 2e-3**2, rel=0.05)
 
 
@@ -100,8 +84,8 @@ async def test_lengths_by_an_offset_that_nothing_tells_are_as_unsure_as_the_look
 
     def told(std_px: float) -> Array:
         seen = look._replace(cov_CO=cov_CO, offset=StereoOffset(0.0, 0.0, std_px, 0.01))
-        wanted = Wanted(x, covariance, 0.9, 4)
-        return foreseen_end(seen, fitted, track, wanted, PROGRAMS.positioning, adapting()).covariance
+        wanted = PlannedStep(x, covariance, 0.9, 4)
+        return predicted_end(seen, fitted, track, wanted, PROGRAMS.positioning, adapting()).covariance
 
     assert np.array_equal(told(0.05), told(0.15))
     wider = told(3.5) - told(0.05)

@@ -6,20 +6,14 @@ import pytest
 from protocol.faults import FaultCode, GroupState, Severity
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, forward
-from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
-from vision_pc.core.calibration.watched_drive import drive, first_take_up
+from vision_pc.core.calibration.take_up import first_take_up, move_with_take_up
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array, transform
 
 MAP = shipped().local_map
-RESIDUAL_RAD = MAP.adaptive.residual_rad
+RESIDUAL_RAD = MAP.take_up.residual_rad
 END = forward(Q_START)
-
-
-def _adaptive() -> LocalErrorModelSettings:
-    adaptive = MAP.adaptive.model_dump() | {"enabled": True}
-    return LocalErrorModelSettings.model_validate(MAP.model_dump() | {"adaptive": adaptive})
 
 
 class ScriptedArm:
@@ -65,8 +59,8 @@ class ScriptedArm:
 async def test_a_joint_that_came_too_far_is_never_sent_back_to_the_end(
     beyond: list[float], to_end: int, elsewhere: int
 ) -> None:
-    arm, settings = ScriptedArm(beyond), _adaptive()
-    ended = await drive(arm, [END], first_take_up(settings), BOOM, settings)  # type: ignore[arg-type]
+    arm = ScriptedArm(beyond)
+    ended = await move_with_take_up(arm, [END], first_take_up(MAP), BOOM, MAP)  # type: ignore[arg-type]
     assert (arm.to_end, arm.elsewhere) == (to_end, elsewhere)
-    assert ended.left[0] == pytest.approx(beyond[-1], abs=1e-6)
+    assert ended.residual[0] == pytest.approx(beyond[-1], abs=1e-6)
     assert joint_turns(END, ended.view.X_BT, BOOM)[0] == pytest.approx(beyond[-1], abs=1e-6)  # it ends there

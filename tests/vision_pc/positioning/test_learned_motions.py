@@ -19,20 +19,20 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.calibration.watched_drive import drive, first_take_up, widened_by_sight
+from vision_pc.core.calibration.take_up import first_take_up, move_with_take_up, widened_by_sight
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import (
     CorrectedResult,
-    _gone_on,
+    _track_with,
     look_then_move_corrected,
 )
-from vision_pc.core.positioning.foreseen_end import looked_at_end, seen_end
-from vision_pc.core.positioning.learned_servo import (
-    after_fine_corrections,
-    expected_left,
+from vision_pc.core.positioning.look_then_move import Ended
+from vision_pc.core.positioning.predicted_end import end_by_look
+from vision_pc.core.positioning.servo_residual import (
+    after_corrections,
+    expected_residual,
     worth_correcting,
 )
-from vision_pc.core.positioning.look_then_move import Ended
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look, WatchSample
 
@@ -41,9 +41,9 @@ _INTEGRAL_1_S = 0.35
 _NEAR = (10, 12, 16, 20)  # whose objects leave room for turning back
 
 
-def settings(enabled: bool = True, **changes: Any) -> LocalErrorModelSettings:
-    adaptive = PROGRAMS.local_map.adaptive.model_dump() | {"enabled": enabled} | changes
-    return LocalErrorModelSettings.model_validate(PROGRAMS.local_map.model_dump() | {"adaptive": adaptive})
+def settings(**take_up: Any) -> LocalErrorModelSettings:
+    changed = PROGRAMS.local_map.take_up.model_dump() | take_up
+    return LocalErrorModelSettings.model_validate(PROGRAMS.local_map.model_dump() | {"take_up": changed})
 
 
 class BandedRig(SyntheticRig):
@@ -96,19 +96,21 @@ def worst(arm: SyntheticRig) -> float:
     return float(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max())
 
 
-async def test_drives_adapt_to_a_band_and_what_is_told_is_so() -> None:
-    errors: dict[bool, list[float]] = {True: [], False: []}
-    squares: dict[bool, list[float]] = {True: [], False: []}
+async def test_motions_learn_a_band_and_the_prediction_holds() -> None:
+    fixed = settings(most_rad=PROGRAMS.local_map.take_up.slew_rad, repeats=0)
+    errors: dict[str, list[float]] = {"learned": [], "fixed": []}
+    squares = []
     for seed in _NEAR:
-        for enabled in (True, False):
+        for name, local_map in (("learned", settings()), ("fixed", fixed)):
             arm = BandedRig(seed, [12e-3, 6e-3, 5e-3])
-            result = await one_look(arm, settings(enabled))
-            errors[enabled].append(worst(arm))
-            error = arm.true_error(PROGRAMS.positioning.clearance_m)[:2]
-            spread = result.positioning.steps[0].expected.covariance[:2, :2]
-            squares[enabled].append(float(error @ np.linalg.solve(spread, error)) / 2.0)
-    assert max(errors[True]) < 2e-3 < max(errors[False]), errors
-    assert np.mean(squares[True]) < min(6.0, np.mean(squares[False])), squares  # its odometry is noisy
+            result = await one_look(arm, local_map)
+            errors[name].append(worst(arm))
+            if name == "learned":
+                error = arm.true_error(PROGRAMS.positioning.clearance_m)[:2]
+                spread = result.positioning.steps[0].expected.covariance[:2, :2]
+                squares.append(float(error @ np.linalg.solve(spread, error)) / 2.0)
+    assert max(errors["learned"]) < 2e-3 < max(errors["fixed"]), errors
+    assert np.mean(squares) < 6.0, squares  # its odometry is noisy
 
 
 async def test_an_arm_that_cannot_be_brought_on_is_named_and_told_beforehand() -> None:
@@ -122,7 +124,7 @@ async def test_an_arm_that_cannot_be_brought_on_is_named_and_told_beforehand() -
     assert result.seen.inside < 0.01
     assert not result.positioning.final.inside
     assert result.positioning.steps[-1].expected.inside < 0.5
-    most = PROGRAMS.positioning.corrections + 1 + local_map.adaptive.outside
+    most = PROGRAMS.positioning.corrections + 1 + PROGRAMS.positioning.outside
     assert len(result.positioning.steps) <= most
 
 
@@ -156,22 +158,22 @@ async def test_an_arm_that_hunts_is_not_promised_to_stand_inside(later: bool) ->
 async def test_what_drives_leave_alike_is_expected_of_the_next_also_where_a_slew_passes_its_end() -> None:
     rig = BandedRig(10, [0.0, 0.0, 0.0])
     track = await record_local_track(rig, rig, silent, settings(), BOOM)
-    residual = settings().adaptive.residual_rad
+    residual = settings().take_up.residual_rad
     passed = np.array([[2.4 * residual, 0.0, 0.0]] * 3)
     levers = boom_levers(track.X_BT_now, BOOM)
-    expected = expected_left(track._replace(left=passed), BOOM, settings())
+    expected = expected_residual(track._replace(joint_residuals=passed), BOOM, settings())
     assert expected == pytest.approx(1.75 / 1.85 * levers @ passed[0])  # nearly all of what is left each time
     moved_on = np.array([np.zeros(3)] * 3 + [passed[0]] * 2)
-    newest = expected_left(track._replace(left=moved_on), BOOM, settings())
+    newest = expected_residual(track._replace(joint_residuals=moved_on), BOOM, settings())
     assert 0.7 < np.linalg.norm(newest) / np.linalg.norm(levers @ passed[0]) < 0.8  # what was before fades
     far = np.array([*passed, [9.0 * residual, 0.0, 0.0]])  # one that was stopped on its way is unlike them
-    assert expected_left(track._replace(left=far), BOOM, settings()) == pytest.approx(expected)
+    assert expected_residual(track._replace(joint_residuals=far), BOOM, settings()) == pytest.approx(expected)
 
 
 def test_steel_that_is_loose_beyond_an_encoder_is_taken_up_as_far_as_odometry_saw_it_go() -> None:
     """A crane's loose slew, 1.6 mrad, went 6 mm too far each time, whichever way it was corrected."""
     X = forward(Q_START)
-    first, bands, most = first_take_up(settings()), settings().adaptive.bands, settings().adaptive.most_rad
+    first, bands, most = first_take_up(settings()), settings().take_up.bands, settings().take_up.most_rad
     lever = slew_lever(X)
     for miss in (7e-4 * lever, -7e-4 * lever):
         taken = widened_by_sight(first, miss, X, settings())
@@ -186,12 +188,9 @@ async def test_a_fine_drive_that_missed_widens_the_turn_of_those_that_follow() -
     rig = BandedRig(10, [0.0, 0.0, 0.0])
     track = await record_local_track(rig, rig, silent, settings(), BOOM)
     miss = 2e-3 * slew_lever(track.X_BT_now)
-    turns = [
-        _gone_on(track, track, missed, settings(enabled)).take_up.turns[0]
-        for missed, enabled in ((miss, True), (None, True), (miss, False))
-    ]
-    assert turns == pytest.approx([settings().adaptive.bands * 2e-3, *[track.take_up.turns[0]] * 2])
-    assert len(_gone_on(track, track, miss, settings()).misses) == 1
+    turns = [_track_with(track, track, found, settings()).take_up.turns[0] for found in (miss, None)]
+    assert turns == pytest.approx([settings().take_up.bands * 2e-3, track.take_up.turns[0]])
+    assert len(_track_with(track, track, miss, settings()).residuals) == 1
 
 
 class TimedRig(BandedRig):
@@ -210,7 +209,7 @@ async def test_a_longer_turn_takes_up_play_no_faster() -> None:
         rig = TimedRig(10, [0.0, 0.0, 0.0])
         rig.took = []
         end = (await rig.view()).X_BT_cmd
-        await drive(rig, [end], first._replace(turns=longer * first.turns), BOOM, settings())
+        await move_with_take_up(rig, [end], first._replace(turns=longer * first.turns), BOOM, settings())
         took.append(max(rig.took))
     assert took[1] == pytest.approx(2.0 * took[0])
     assert took[0] > 0.0
@@ -242,7 +241,7 @@ def test_what_fine_corrections_leave_is_what_drawn_ones_leave(spread_mm: float) 
     assert min(thresholds) >= nudge
     assert thresholds == sorted(thresholds)  # with fewer drives left more is kept
     left = _stopped(ends, thresholds).var()
-    assert after_fine_corrections(variance, nudge, drives) == pytest.approx(left, rel=0.03)
+    assert after_corrections(variance, nudge, drives) == pytest.approx(left, rel=0.03)
     for factor in (0.7, 1.4):
         others = [max(nudge, factor * threshold) for threshold in thresholds]
         assert left < 1.01 * _stopped(ends, others).var()
@@ -254,10 +253,10 @@ async def test_an_end_is_corrected_only_where_drives_leave_less(missed_mm: float
     arm = BandedRig(10, [3e-3, 1.5e-3, 1.2e-3])
     await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
     track = await record_local_track(arm, arm, silent, settings(), BOOM)
-    misses = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
-    positioning, local_map = PROGRAMS.positioning, settings(nudge_m=3e-4)
+    residuals = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
+    positioning = PROGRAMS.positioning.model_copy(update={"nudge_m": 3e-4})
     result = await look_then_move_corrected(
-        arm, arm, silent, positioning, local_map, BOOM, track._replace(misses=misses)
+        arm, arm, silent, positioning, settings(), BOOM, track._replace(residuals=residuals)
     )
     assert (len(result.positioning.steps) > 2) is corrected
 
@@ -273,10 +272,10 @@ async def test_a_tool_that_stands_nearer_than_drives_end_stays(
     arm = BandedRig(10, [3e-3, 1.5e-3, 1.2e-3])
     await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
     track = await record_local_track(arm, arm, silent, settings(), BOOM)
-    positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections, "aim_m": 0.0})
-    local_map = settings(nudge_m=3e-4)
-    misses = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
-    track = track._replace(misses=misses)
+    changed = {"corrections": corrections, "aim_m": 0.0, "nudge_m": 3e-4}
+    positioning, local_map = PROGRAMS.positioning.model_copy(update=changed), settings()
+    residuals = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
+    track = track._replace(residuals=residuals)
     off = np.array([1.2e-3, -1.6e-3, 1e-3 * depth_mm])
     look = await arm.look()
     goal = look.X_CM[:3, 3] + off + [0.0, 0.0, positioning.clearance_m]
@@ -323,38 +322,18 @@ def test_a_camera_that_is_late_is_found_in_the_legs(late_s: float) -> None:
     local_map = LocalErrorModelSettings.model_validate(
         PROGRAMS.local_map.model_dump() | {"delay_std_s": 0.05}
     )
-    track = track_of(tuple(samples), 0.0)
+    track = track_of(tuple(samples))
     delay = fit_error_model(track, np.zeros(3), BOOM, local_map).delay
     assert delay is not None
     assert abs(delay.late_s - late_s) < 3.0 * delay.std_s < 0.03
     assert fit_error_model(track, np.zeros(3), BOOM, PROGRAMS.local_map).delay is None
 
 
-def test_lenses_that_differ_widen_what_is_told() -> None:
-    """A scale that no arm has: odometry is not believed to a fifth of a millimetre any more."""
-    rng = np.random.default_rng(8)
-    X = forward(Q_START)
-    corners = [P[:3, 3] for P in three_legs(X, 0.2)]
-    stds = []
-    for scale in (1.0, 1.008):
-        p = np.array(
-            [np.interp(np.linspace(0, 3, 90), range(4), [c[k] for c in corners]) for k in range(3)]
-        ).T
-        samples = []
-        for k, place in enumerate(p):
-            seen = transform(np.eye(3), X[:3, :3].T @ (place - p[0]) * scale + rng.normal(0.0, 1e-4, 3))
-            samples.append(WatchSample(k * 10**9, transform(X[:3, :3], place), seen, None, None))
-        track = track_of(tuple(samples), 0.0)
-        fitted = fit_error_model(track, np.zeros(3), BOOM, settings())
-        assert fitted.scale == pytest.approx(scale - 1.0, abs=3e-3)  # its prior pulls
-        cov = 1e-9 * np.eye(6)
-        look = Look(0, X, X, X, 10, 0, 0, cov, cov, cov, cov, None)
-        far = [np.array([0.0, 0.7, 0.0]), np.zeros(3)]
-        stds.append(seen_end(far, look, fitted, track, PROGRAMS.positioning, settings()).std_m[0])
-    assert stds[0] < 0.3e-3
-    assert 0.6e-3 < stds[1] < 3e-3
-    # the clearance is kept along an axis that the camera's calibration knows to a pixel
+async def test_the_clearance_is_kept_along_an_axis_that_is_known_to_a_pixel() -> None:
+    arm = BandedRig(10, [0.0, 0.0, 0.0])
+    track = await record_local_track(arm, arm, silent, settings(), BOOM)
+    look = await arm.look()
     turned = PROGRAMS.positioning.model_copy(update={"axis_std_rad": 0.004})
-    aside, exact = (looked_at_end(far[1], look, track, each) for each in (turned, PROGRAMS.positioning))
+    aside, exact = (end_by_look(np.zeros(3), look, track, each) for each in (turned, PROGRAMS.positioning))
     grown = np.diag(aside.covariance - exact.covariance)
     assert grown == pytest.approx([(0.004 * turned.clearance_m) ** 2] * 2 + [0.0])

@@ -1,0 +1,114 @@
+"""Where a corrected move will end: predicted before it moves, and by odometry before the last look."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
+from vision_pc.core.calibration.backlash import slew_lever
+from vision_pc.core.calibration.local_error_model import LocalErrorModel, LocalTrack
+from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
+from vision_pc.core.positioning.servo_residual import after_corrections, servo_spread
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Look
+
+_FOUND_PX = 0.2  # markers of known size tell the offset three times as well; holes and planes do not at all
+_OTHER_SIDE = 0.5  # of motions that nothing corrects end on either side of the slew's backlash
+
+
+class PlannedStep(NamedTuple):
+    """A step ``x`` (3,) in B with the model's covariance, the share of it to be driven now, and how many
+    motions there may be until the end, this one included.
+    """
+
+    x: Array
+    covariance: Array
+    share: float
+    motions: int
+
+
+def predicted_end(
+    look: Look,
+    fitted: LocalErrorModel,
+    track: LocalTrack,
+    planned: PlannedStep,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> ExpectedEnd:
+    """The error expected at the end of all motions.
+
+    When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
+    then corrected until odometry finds it small, and odometry's own error counts for all of the way. Nothing
+    corrects what backlash leaves of an open-loop step.
+    """
+    rest = 1.0 if planned.share == 1.0 else (1.0 - planned.share) ** 2
+    spread = servo_spread(track, map_settings)
+    in_base = rest * planned.covariance + spread.variance * np.eye(3)
+    if not settings.corrections:
+        in_base += _uncorrected_backlash(planned.x, fitted, map_settings)
+    covariance = fitted.R.T @ in_base @ fitted.R
+    if settings.corrections:
+        across = 0.5 * float(np.trace(covariance[:2, :2]))
+        remaining = after_corrections(across, settings.nudge_m, planned.motions)
+        shrunk = np.diag([math.sqrt(remaining / across)] * 2 + [1.0])
+        covariance = shrunk @ covariance @ shrunk
+    covariance += _odometry_covariance(planned.x, look, map_settings)  # the model, too, has its lengths
+    covariance += _look_covariance(look, track, settings)
+    return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
+
+
+def end_by_odometry(
+    residuals: list[Array],
+    look: Look,
+    track: LocalTrack,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> ExpectedEnd:
+    """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``."""
+    here = end_by_look(residuals[-1], look, track, settings)
+    way = _odometry_covariance(residuals[0], look, map_settings)
+    return expected_end(here.mean_m, here.covariance + way, settings.tolerance_m)
+
+
+def end_by_look(residual: Array, look: Look, track: LocalTrack, settings: PositioningSettings) -> ExpectedEnd:
+    """What ``look`` says of a tool that stays ``residual`` (3,) m off its goal."""
+    return expected_end(residual, _look_covariance(look, track, settings), settings.tolerance_m)
+
+
+def _uncorrected_backlash(x: Array, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
+    """Covariance (3, 3) m² in B of what backlash leaves of a step ``x`` (3,) m that is driven in one go.
+
+    The slew may come to rest on either side of the backlash that the legs have shown, here as at each end of
+    the legs. What else such ends differ by is known as a whole alone. Two of three legs tell each turn of the
+    model, and the way is longer than they are.
+    """
+    carried = float(np.linalg.norm(x)) / (math.sqrt(2.0) * settings.leg_m)
+    across = 2.0 * fitted.slew_play * slew_lever(fitted.X_BT)
+    slew = _OTHER_SIDE * (1.0 + carried**2) * np.outer(across, across)
+    return np.asarray(slew + (carried * settings.leg_end_std_m) ** 2 * np.eye(3))
+
+
+def _look_covariance(look: Look, track: LocalTrack, settings: PositioningSettings) -> Array:
+    """Covariance (3, 3) m² of the error that ``look`` measures: of tool and object as they were seen, of the
+    axis along which the clearance is kept, and of where an arm that goes to and fro was just then.
+
+    Half of that way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its
+    encoder. No motion ends any of that.
+    """
+    aside = (settings.axis_std_rad * settings.clearance_m) ** 2 * np.diag([1.0, 1.0, 0.0])
+    residual_motion = (0.5 * track.residual_motion) ** 2 * np.eye(3)
+    return np.asarray(look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + aside + residual_motion)
+
+
+def _odometry_covariance(d: Array, look: Look, settings: LocalErrorModelSettings) -> Array:
+    """Covariance (3, 3) m² of a way ``d`` (3,) as odometry measures it.
+
+    ``odometry_scale_std`` is of a camera whose offset is found; by one that is not, odometry's lengths are
+    off as the look's distance is.
+    """
+    scale = settings.odometry_scale_std
+    if look.offset is not None and look.offset.std_x_px > _FOUND_PX:
+        scale = math.hypot(scale, math.sqrt(look.cov_CO[2, 2]) / abs(look.X_CO[2, 3]))
+    variance = settings.odometry_std_m**2 + (scale * float(np.linalg.norm(d))) ** 2
+    return np.asarray(variance * np.eye(3))
