@@ -8,6 +8,8 @@ import numpy as np
 
 from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
+from controller.core.parking.parking import control_step
+from controller.core.parking.standing import parking_before, rests_settled, standing_after, stands_now
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
 from controller.core.references.streaming import pace, silence, update_fade
 from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
@@ -22,7 +24,6 @@ from controller.core.scan_types import (
 )
 from controller.core.servo.drives import Circuit, load_pressures, pilot_pressures
 from controller.core.servo.joint_control import JointFilters, Pressures, unmoved
-from controller.core.servo.parking import drive_step
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
@@ -39,7 +40,6 @@ from controller.core.servo.servo_step import (
     servo_step,
 )
 from controller.core.settings import ScanSettings
-from controller.core.standing import parking_before, rests_settled, stands_now, stood
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode
@@ -167,7 +167,7 @@ def _drive_valves(
         state.watch.q_meas,
         state.servo.q_cmd,
         state.filters,
-        _felt(settings, state),
+        _pressures(settings, state),
         circuit,
         slow_load,
     )
@@ -176,11 +176,11 @@ def _drive_valves(
         finite, settled = servo_step(settings.servo, given, dt_s, out)
     else:
         parking, turned = parking_before(state), state.watch.turned
-        finite, settled = drive_step(
+        finite, settled = control_step(
             settings.servo, settings.parking, given, turned, stands_now(state), out, parking
         )
         if finite:
-            state = stood(settings, state, parking, events)
+            state = standing_after(settings, state, parking, events)
     if not finite:
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
@@ -193,7 +193,7 @@ def _drive_valves(
     )
 
 
-def _felt(settings: ScanSettings, state: ScanState) -> Pressures:
+def _pressures(settings: ScanSettings, state: ScanState) -> Pressures:
     sensors, drives = state.watch.sensors, settings.servo.drives
     if sensors is None:
         return Pressures(state.filters.load, state.filters.pilot)
@@ -211,7 +211,7 @@ def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
 
 def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
     """``state`` at rest; the slow load pressure follows the load, so enabling starts without a kick."""
-    filters = unmoved(_felt(settings, state).load, state.filters.pilot)
+    filters = unmoved(_pressures(settings, state).load, state.filters.pilot)
     return state._replace(servo=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
 
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
+from controller.core.parking.joint import Joints, joints_at_start
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.references.streaming import OpenStream
 from controller.core.servo.joint_control import JointFilters, unmoved
-from controller.core.servo.parking_state import parking_begun
 from controller.core.servo.pose_servo import ToolState, tool_state
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
@@ -121,7 +121,7 @@ class ScanState(NamedTuple):
     ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
     tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see ``update_fade``.
     ``rearming``: scans in a row in which the plant's watchdog was asked to be re-armed. ``parking``: see
-    ``servo.parking``; ``standing``: how far the arm has come to rest.
+    ``parking.joint``; ``standing``: how far the arm has come to rest.
     """
 
     cycle: int
@@ -138,7 +138,7 @@ class ScanState(NamedTuple):
     stream: OpenStream | None
     fade: float
     rearming: int
-    parking: Array
+    parking: Joints
     standing: Standing
 
 
@@ -167,6 +167,6 @@ def initial_state(settings: ScanSettings) -> ScanState:
         stream=None,
         fade=0.0,
         rearming=0,
-        parking=parking_begun(settings.parking),
+        parking=joints_at_start(settings.parking),
         standing=MOVES,
     )

@@ -4,9 +4,9 @@ import numpy as np
 
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import Array
+from controller.core.parking.joint import ParkingLaw
 from controller.core.servo.drives import RATIO, drive_table, rated_circuit
 from controller.core.servo.joint_control import JointGains, LoadHolding
-from controller.core.servo.parking_state import ParkingLaw
 from controller.core.servo.pose_servo import ServoGains
 from controller.core.servo.servo_step import ServoConstants
 from nominal_arm.commissioned import CURVE_KNOTS, ValveSet
@@ -20,9 +20,9 @@ _CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its pha
 # A joint's gain goes with the pace of its oil's spring: so long, times the gain, until a joint breaks away,
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
-_LEAVES = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
+_SETTLED = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
 _HOLDS_NONE = LoadHolding(np.zeros(6), 1.0, 1.0, 1.0, np.ones(6))
-_KEEPING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
+_HOLDING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
 
 
 def servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
@@ -118,23 +118,23 @@ def _parking_law(config: ControllerConfig) -> ParkingLaw:
         slowest=parking.slowest_mrad_s * _MRAD,
         fastest=parking.fastest_mrad_s * _MRAD,
         patience=parking.patience_ms * _MS,
-        calm_way=parking.calm_mm * _MM,
+        calm_travel=parking.calm_mm * _MM,
         calm=parking.calm_ms * _MS,
-        leaves=_LEAVES * config.settled.tolerance_mrad * _MRAD,
-        stays=parking.stays_ms * _MS,
+        settled=_SETTLED * config.settled.tolerance_mrad * _MRAD,
+        give_up=parking.stays_ms * _MS,
         quiet=parking.quiet_mm * _MM,
         deadband=_edges(config.valves, "deadband") + half,
         spread=np.hypot(std, half_std),
         latest=late + _BREAKS_AWAY / gain,
         shutting=late + _RUNS_ON / gain,
         loaded=np.array(parking.loaded, dtype=float),
-        rest=np.where(exact, parking.rest_exact_ms, parking.rest_ms) * _MS,
-        keeping=_KEEPING * gain,
+        leak_time=np.where(exact, parking.rest_exact_ms, parking.rest_ms) * _MS,
+        holding_gain=_HOLDING * gain,
         exact=exact.astype(float),
-        felt=np.array(parking.felt_mrad_bar) * _MRAD,
-        oil=np.where(exact, 0.0, parking.oil_mrad_bar) * _MRAD,
-        play=np.where(exact, 0.0, _whole_plays(config)),
-        highest=surely_open(config.valves),
+        friction_spring=np.array(parking.felt_mrad_bar) * _MRAD,
+        oil_spring=np.where(exact, 0.0, parking.oil_mrad_bar) * _MRAD,
+        backlash=np.where(exact, 0.0, _whole_plays(config)),
+        surely_open=surely_open(config.valves),
         dt_s=config.cycle_ms * _MS,
     )
 

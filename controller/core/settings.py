@@ -10,7 +10,7 @@ from controller.commissioning import commissioned_config
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.parking_state import ParkingLaw
+from controller.core.parking.joint import ParkingLaw
 from controller.core.servo.servo_step import ServoConstants
 from controller.core.servo_settings import parking_law, servo_constants, surely_open
 from controller.core.trajectories.approach import AxisLimits

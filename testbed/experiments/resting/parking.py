@@ -8,7 +8,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from controller.core.servo.parking_state import KEPT, PHASE
+from controller.core.parking.joint import HOLD
 from nominal_arm.description import JOINT_NAMES
 from protocol.reference_messages import FLAG_SETTLED
 from testbed.campaigns.campaign import CampaignRequest, Task
@@ -123,7 +123,7 @@ def _watch(loop: ClosedLoop, cycles: int) -> JSON:
         "end_mm": moved[-1],
         "error_mrad": max(errors),
         "inches": inches,
-        "kept": " ".join(JOINT_NAMES[i] for i in np.flatnonzero(loop.state.parking[PHASE] == KEPT)),
+        "kept": " ".join(JOINT_NAMES[i] for i in np.flatnonzero(loop.state.parking["phase"] == HOLD)),
         "astray": astray,
     }
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import typer
 
-from controller.core.servo.parking_state import KEPT, OPEN, PHASE
+from controller.core.parking.joint import HOLD, JOG
 from controller.core.settings import settings_from
 from protocol.faults import Reason
 from protocol.pose import Pose
@@ -76,7 +76,7 @@ def parked() -> Parked:
             settled_s, stood = now_s, tool.copy()
         if not math.isnan(settled_s):
             moved_mm = max(moved_mm, 1e3 * float(np.linalg.norm(tool - stood)))
-            inches += int((loop.state.parking[PHASE] == OPEN).any())
+            inches += int((loop.state.parking["phase"] == JOG).any())
         if loop.state.standing.parked:
             break
     return Parked(loop, told, within_s, settled_s, now_s, moved_mm, inches)
@@ -125,8 +125,8 @@ def test_a_vane_leaks_and_is_kept_by_an_opening() -> None:
         causes += [event.cause for event in loop.outputs.events if event.name == "leaking"]
         if "WRIST2_IS_KEPT_BY_AN_OPENING" in causes:
             break
-    assert loop.state.parking[PHASE, 4] == KEPT
-    assert len(causes) == (loop.state.parking[PHASE] == KEPT).sum()
+    assert loop.state.parking["phase"][4] == HOLD
+    assert len(causes) == (loop.state.parking["phase"] == HOLD).sum()
 
 
 def test_a_joint_came_in_when_it_was_outside_for_the_last_time() -> None:
@@ -159,7 +159,7 @@ def test_a_real_machine_is_drawn_without_camera_and_wall() -> None:
     assert real.settings.scene == mobile.settings.scene
     law = settings_from(real.settings.arm, real.settings.controller).parking
     assert law is not None
-    assert law.oil[0] > 0.0
+    assert law.oil_spring[0] > 0.0
 
 
 def test_what_is_known_of_a_deadband_is_scaled_and_its_spread_told() -> None:

@@ -6,22 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.servo.coming_to_rest import listened
-from controller.core.servo.parking import _moved
-from controller.core.servo.parking_state import (
-    AFTER,
-    BAND,
-    CREPT,
-    ERROR,
-    PARKED,
-    PHASE,
-    SENSE,
-    SHUT,
-    SINCE,
-    SPEED,
-    ParkingLaw,
-    parking_begun,
-)
+from controller.core.parking.joint import SHUT, ParkingLaw, joints_at_start
+from controller.core.parking.parking import phase_spool
+from controller.core.parking.rest import watch_creep
 from protocol.process_image import VALVE_FULL_SCALE
 
 DT_S, GAIN, DIGIT, BAND_RAD = 0.005, 0.4, 4.8e-5, 1e-4
@@ -40,23 +27,23 @@ def poor_law(deadband: float, spread: float) -> ParkingLaw:
         slowest=4e-4,
         fastest=1e-2,
         patience=6.0,
-        calm_way=2e-4,
+        calm_travel=2e-4,
         calm=3.0,
-        leaves=2.7e-4,
-        stays=30.0,
+        settled=2.7e-4,
+        give_up=30.0,
         quiet=1e-4,
         deadband=np.full((6, 2), deadband),
         spread=np.full((6, 2), spread),
         latest=(late + 0.15) * ONES,
         shutting=(late + 0.03) * ONES,
         loaded=ONES,
-        rest=3.0 * ONES,
-        keeping=1.5 * ONES,
+        leak_time=3.0 * ONES,
+        holding_gain=1.5 * ONES,
         exact=0.0 * ONES,
-        felt=0.0 * ONES,
-        oil=0.0 * ONES,
-        play=0.0 * ONES,
-        highest=np.full((6, 2), 2.0 * deadband),
+        friction_spring=0.0 * ONES,
+        oil_spring=0.0 * ONES,
+        backlash=0.0 * ONES,
+        surely_open=np.full((6, 2), 2.0 * deadband),
         dt_s=DT_S,
     )
 
@@ -85,10 +72,10 @@ class Joint(NamedTuple):
 
 
 def resting(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True, phase: float = SHUT) -> Rest:
-    rng, state = np.random.default_rng(5), parking_begun(law)
-    state[PHASE, 0], state[BAND, 0], state[PARKED, 0] = phase, BAND_RAD, float(parked)
-    state[SENSE, 0] = -math.copysign(1.0, joint.creep)
-    state[ERROR, 0] = state[CREPT, 0] = joint.error
+    rng, state = np.random.default_rng(5), joints_at_start(law)
+    state["phase"][0], state["band"][0], state["rest"][0] = phase, BAND_RAD, float(parked)
+    state["jog"]["sense"][0] = -math.copysign(1.0, joint.creep)
+    state["error"][0] = state["watch"]["error"][0] = joint.error
     commands = deque([0.0] * round(DELAY_S / DT_S), maxlen=round(DELAY_S / DT_S))
     angle, seen, spool = -joint.error, -joint.error, 0.0
     shaft = angle + math.copysign(joint.half_play, joint.creep)
@@ -97,14 +84,15 @@ def resting(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True, 
         shaft = min(max(shaft, angle - joint.half_play), angle + joint.half_play)
         before, seen = seen, DIGIT * round((shaft + rng.normal(0.0, 0.3 * DIGIT)) / DIGIT)
         keep = math.exp(-DT_S / 0.03)
-        state[SPEED, 0] = keep * state[SPEED, 0] + (1.0 - keep) * (seen - before) / DT_S
-        state[[SINCE, AFTER], 0] += DT_S
-        listened(law, state, 0, 4.0, -seen, 50.0)
-        command = _moved(law, state, 0, -seen, 50.0 + BAR_RAD * angle, GAINS)
+        state["speed"][0] = keep * state["speed"][0] + (1.0 - keep) * (seen - before) / DT_S
+        state["since"][0] += DT_S
+        state["pulse"]["since"][0] += DT_S
+        watch_creep(law, state[0], 0, 4.0, -seen, 50.0)
+        command = phase_spool(law, state, 0, -seen, 50.0 + BAR_RAD * angle, GAINS)
         late = commands[0]
         commands.append(round(command * VALVE_FULL_SCALE) / VALVE_FULL_SCALE)
         spool += (late - spool) * (1.0 - math.exp(-DT_S / LAG_S))
         beyond = max(abs(spool) - joint.edge, 0.0)
         angle += DT_S * (math.copysign(GAIN * beyond, spool) + joint.creep + joint.ramp * DT_S * scan)
-        rows.append((-angle, -shaft, command, state[PHASE, 0]))
+        rows.append((-angle, -shaft, command, state["phase"][0]))
     return Rest(*np.array(rows).T, state)

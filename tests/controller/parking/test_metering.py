@@ -8,36 +8,14 @@ import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
-from controller.core.servo.coming_to_rest import listened
-from controller.core.servo.metering import learned, metered_begun
-from controller.core.servo.parking import _moved
-from controller.core.servo.parking_state import (
-    AFTER,
-    BAND,
-    CREPT,
-    DOUBT,
-    EDGE,
-    ERROR,
-    FROM,
-    GIVES,
-    OIL_AT,
-    OIL_FROM,
-    OPENED,
-    OPENING,
-    PHASE,
-    SENSE,
-    SHUT,
-    SINCE,
-    SPEED,
-    WAY,
-    ParkingLaw,
-    parking_begun,
-    parking_ended,
-)
+from controller.core.parking.joint import SHUT, ParkingLaw, joints_at_start, joints_in_motion
+from controller.core.parking.metering import learn_from_metered, start_metered
+from controller.core.parking.parking import phase_spool
+from controller.core.parking.rest import watch_creep
 from controller.core.servo_settings import parking_law
 from foundation.configuration import load
 from nominal_arm.commissioned import MeasuredNumber
-from tests.controller.servo.poor_joint import (
+from tests.controller.parking.poor_joint import (
     BAND_RAD,
     DELAY_S,
     DIGIT,
@@ -56,7 +34,7 @@ METERED = poor_law(0.08, 0.004)._replace(
     latest=(LATE_S + 0.3) * ONES,
     shutting=(LATE_S + 0.13) * ONES,
     loaded=0.0 * ONES,
-    oil=OIL_RAD_BAR * ONES,
+    oil_spring=OIL_RAD_BAR * ONES,
 )
 
 
@@ -85,8 +63,8 @@ class Way(NamedTuple):
 
 def _way(law: ParkingLaw, joint: Held, seconds: float = 40.0) -> Way:
     """The joint follows its oil late; its load pressure, which the engine shakes, tells what lies between."""
-    rng, state = np.random.default_rng(5), parking_begun(law)
-    state[PHASE, 0], state[BAND, 0], state[ERROR, 0], state[CREPT, 0] = (
+    rng, state = np.random.default_rng(5), joints_at_start(law)
+    state["phase"][0], state["band"][0], state["error"][0], state["watch"]["error"][0] = (
         SHUT,
         BAND_RAD,
         joint.error,
@@ -97,11 +75,12 @@ def _way(law: ParkingLaw, joint: Held, seconds: float = 40.0) -> Way:
     for scan in range(round(seconds / DT_S)):
         before, seen = seen, DIGIT * round((angle + rng.normal(0.0, 0.3 * DIGIT)) / DIGIT)
         keep = math.exp(-DT_S / 0.03)
-        state[SPEED, 0] = keep * state[SPEED, 0] + (1.0 - keep) * (seen - before) / DT_S
-        state[[SINCE, AFTER], 0] += DT_S
+        state["speed"][0] = keep * state["speed"][0] + (1.0 - keep) * (seen - before) / DT_S
+        state["since"][0] += DT_S
+        state["pulse"]["since"][0] += DT_S
         load = (oil - angle) / joint.oil + 0.2 * math.sin(2.0 * math.pi * 20.0 * DT_S * scan)
-        listened(law, state, 0, 4.0, -seen, load)
-        command = _moved(law, state, 0, -seen, load, GAINS)
+        watch_creep(law, state[0], 0, 4.0, -seen, load)
+        command = phase_spool(law, state, 0, -seen, load, GAINS)
         late = commands[0]
         commands.append(command)
         spool += (late - spool) * (1.0 - math.exp(-DT_S / LAG_S))
@@ -131,7 +110,7 @@ def test_a_joint_comes_to_rest_in_a_few_inches(error: float, edge: float, oil: f
 def test_the_encoder_alone_lets_too_much_oil_through() -> None:
     """Why inches are metered: friction hides what has passed, until it is far too much."""
     joint = Held(2e-3)
-    metered, blind = (_way(law, joint) for law in (METERED, METERED._replace(oil=0.0 * ONES)))
+    metered, blind = (_way(law, joint) for law in (METERED, METERED._replace(oil_spring=0.0 * ONES)))
     assert metered.errors.min() > -3.0 * BAND_RAD
     assert blind.errors.min() < -1e-3
     assert 2 * metered.openings < blind.openings
@@ -148,43 +127,54 @@ def test_a_joint_that_sticks_gets_more_oil_each_time() -> None:
     stuck = _way(METERED, Held(6e-4, sticks=3e-3), 60.0)
     assert abs(stuck.errors[-1]) < 3.0 * BAND_RAD
     assert stuck.openings <= 8
-    state = parking_begun(METERED)
+    state = joints_at_start(METERED)
     gives = []
     for moved in (0.0, 0.0, 0.9, 0.0):
-        metered_begun(state, 0, 1e-3)
-        gives.append(float(state[GIVES, 0]))
-        state[FROM, 0], state[ERROR, 0] = 1e-3, 1e-3 * (1.0 - moved)
+        start_metered(state[0], 1e-3)
+        gives.append(float(state["oil"]["share"][0]))
+        state["jog"]["start"][0], state["error"][0] = 1e-3, 1e-3 * (1.0 - moved)
     assert gives == [1.0, 2.0, 4.0, 2.0]
-    metered_begun(state, 0, -1e-3)  # it went too far: what stuck does no more
-    assert state[GIVES, 0] == 1.0
-    assert state[SENSE, 0] == -1.0
+    start_metered(state[0], -1e-3)  # it went too far: what stuck does no more
+    assert state["oil"]["share"][0] == 1.0
+    assert state["jog"]["sense"][0] == -1.0
 
 
 def test_where_the_edge_is_is_learned_from_what_has_passed() -> None:
     def after(passed: float) -> np.ndarray:
-        state = parking_begun(METERED)
-        state[SENSE], state[WAY], state[OPENING], state[OPENED] = 1.0, 1e-3, 0.5, 0.09
-        state[OIL_FROM], state[OIL_AT] = 2e-3, 2e-3 - passed
-        learned(METERED, state, 0, GAINS)
-        return np.asarray(state[:, 0])
+        state = joints_at_start(METERED)
+        state["jog"]["sense"], state["oil"]["travel"], state["oil"]["opened"], state["jog"]["spool"] = (
+            1.0,
+            1e-3,
+            0.5,
+            0.09,
+        )
+        state["oil"]["start"], state["oil"]["end"] = 2e-3, 2e-3 - passed
+        learn_from_metered(METERED, state[0], 0, GAINS)
+        return state[0]
 
-    assert after(1e-3)[EDGE] > 0.081
-    assert after(1e-3)[EDGE + 1] == 0.08  # the other side's
-    assert after(2e-3)[EDGE] == pytest.approx(0.08 - 0.1 * 0.08)  # a tenth at least
-    assert after(6e-3)[EDGE] == pytest.approx(0.08 - 5e-3 / (GAIN * 0.5))
-    assert after(1.0)[EDGE] == pytest.approx(0.5 * 0.08)
-    assert after(1e-3)[DOUBT] == pytest.approx(0.5 * 0.1 * 0.08)
-    assert after(1e-3)[OPENING] == 0.0
+    assert after(1e-3)["valve"]["edge"][0] > 0.081
+    assert after(1e-3)["valve"]["edge"][1] == 0.08  # the other side's
+    assert after(2e-3)["valve"]["edge"][0] == pytest.approx(0.08 - 0.1 * 0.08)  # a tenth at least
+    assert after(6e-3)["valve"]["edge"][0] == pytest.approx(0.08 - 5e-3 / (GAIN * 0.5))
+    assert after(1.0)["valve"]["edge"][0] == pytest.approx(0.5 * 0.08)
+    assert after(1e-3)["valve"]["doubt"][0] == pytest.approx(0.5 * 0.1 * 0.08)
+    assert after(1e-3)["oil"]["opened"] == 0.0
 
 
 def test_a_motion_forgets_the_last_inch() -> None:
     """What it was for says nothing of the next one's friction; an inch that it cut short taught nothing."""
-    state = parking_begun(METERED)
-    state[WAY], state[GIVES], state[OPENING], state[EDGE] = 1e-3, 8.0, 0.4, 0.07
-    after = parking_ended(state)
-    assert not after[[WAY, OPENING]].any()
-    assert (after[GIVES] == 1.0).all()
-    assert (after[EDGE] == 0.07).all()
+    state = joints_at_start(METERED)
+    state["oil"]["travel"], state["oil"]["share"], state["oil"]["opened"], state["valve"]["edge"] = (
+        1e-3,
+        8.0,
+        0.4,
+        0.07,
+    )
+    after = joints_in_motion(state)
+    assert not after["oil"]["travel"].any()
+    assert not after["oil"]["opened"].any()
+    assert (after["oil"]["share"] == 1.0).all()
+    assert (after["valve"]["edge"] == 0.07).all()
 
 
 def test_a_valve_without_hysteresis_is_not_metered_nor_parked_by_itself() -> None:
@@ -196,8 +186,8 @@ def test_a_valve_without_hysteresis_is_not_metered_nor_parked_by_itself() -> Non
     mixed = usual.model_copy(update={"valves": valves})
     law = parking_law(mixed)
     assert law is not None
-    assert law.oil[1] == pytest.approx(1e-3 * usual.parking.oil_mrad_bar[1])
-    assert not law.oil[[0, 2, 3, 4, 5]].any()
+    assert law.oil_spring[1] == pytest.approx(1e-3 * usual.parking.oil_mrad_bar[1])
+    assert not law.oil_spring[[0, 2, 3, 4, 5]].any()
 
     def asked(config: ControllerConfig, enabled: bool) -> ParkingLaw | None:
         parking = config.parking.model_copy(update={"enabled": enabled})
