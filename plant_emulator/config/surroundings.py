@@ -26,22 +26,6 @@ class DrillHoleConfig(StrictModel):
     seed: int = Field(default=1, ge=0, lt=2**31)
 
 
-class TubeConfig(StrictModel):
-    """A tube that stands ``length_m`` straight out of the wall, open in front; its axis in O (x right, y up).
-
-    ``diameter_mm`` is that of its mouth, ``wall_mm`` how thick it is, ``depth_m`` how deep one sees into it.
-    """
-
-    centre_m: tuple[float, float]
-    diameter_mm: float = Field(gt=1.0, le=500.0)
-    wall_mm: float = Field(default=4.0, gt=0.1, le=100.0)
-    length_m: float = Field(gt=0.005, le=1.0)
-    depth_m: float = Field(default=0.5, gt=0.01, le=20.0)
-    grey: int = Field(default=14, ge=0, le=255)
-    rim_grey: int = Field(default=170, ge=0, le=255)
-    side_grey: int = Field(default=125, ge=0, le=255)
-
-
 class BarePatchConfig(StrictModel):
     """A round patch of the wall with little to see: smooth plaster, shotcrete, a wet stain. Centre in O axes.
 
@@ -84,7 +68,6 @@ class WallConfig(StrictModel):
     undulation_mm: float = Field(default=0.0, ge=0.0, le=50.0)
     undulation_length_m: float = Field(default=1.0, ge=0.2, le=10.0)
     drill_holes: tuple[DrillHoleConfig, ...] = Field(default=(), max_length=100)
-    tubes: tuple[TubeConfig, ...] = Field(default=(), max_length=100)
     bare_patches: tuple[BarePatchConfig, ...] = Field(default=(), max_length=100)
     blocks: tuple[BlockConfig, ...] = Field(default=(), max_length=32)
 

@@ -70,12 +70,6 @@ def _scene(config: SceneConfig, chain: Chain, links: tuple[str, ...], time_ns: i
         made.size.x = made.size.y = 1e-3 * hole.diameter_mm
         made.size.z = _THIN_M
         _colour(made, _DARK)
-    for tube in config.wall.tubes:
-        made = wall.cylinders.add(bottom_scale=1.0, top_scale=1.0)
-        put_pose(made.pose, _at(*tube.centre_m, 0.5 * tube.length_m))
-        made.size.x = made.size.y = 1e-3 * (tube.diameter_mm + 2.0 * tube.wall_mm)
-        made.size.z = tube.length_m
-        _colour(made, _GREY)
     for marker in config.object_of_interest.markers:
         _marker(
             _entity(said, f"marker {marker.marker_id}", OBJECT, time_ns), marker, wall_marker_pose(marker)

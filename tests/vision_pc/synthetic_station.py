@@ -1,7 +1,6 @@
 """A station for tests: the real controller link and socket arm over loopback, eyes on the synthetic arm."""
 
 import asyncio
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dh_links
-from protocol.errors import LinkLost, RequestRefused
+from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from protocol.reference_messages import (
     ANY_ARM,
@@ -35,8 +34,8 @@ from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration, distorted
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.sighting import Click
-from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused, Taught
-from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
+from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
+from vision_pc.core.types import FrameObservation, Look, MarkerObservation
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
@@ -105,18 +104,7 @@ class SyntheticEyes:
             raise TargetRefused("target.ambiguous", "target: places look alike", places)
         look, square = await self.rig.look(1), 10.0 * np.array(_SQUARE)
         seen = TargetObservation("hole", look.X_CO, 1e-6 * np.eye(6), np.eye(6), 0.9, square, 0.045)
-        if click.kind == "template":
-            taught = Taught(np.zeros((3, 3)), 0.001)
-            seen = seen._replace(kind="template", diameter_m=None, taught=taught)
         return self.targets.add(seen, 7, look.X_BT, None)
-
-    async def found_again(self, target_id: str) -> KeptTarget:
-        kept = self.targets.get(target_id)
-        if kept.taught is None:
-            raise TargetRefused("target.not_taught", "target: only a template is found again by its looks")
-        look = await self.rig.look(1)
-        seen = TargetObservation("template", look.X_CO, 1e-6 * np.eye(6), np.eye(6), 0.8, kept.outline)
-        return self.targets.found(target_id, seen, 9, look.X_BT)
 
     async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
         kept = await self.target_at(Click("left", np.zeros(2)), None)

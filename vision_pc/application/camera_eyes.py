@@ -17,7 +17,6 @@ from vision_pc.core.perception.look import combine
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
-from vision_pc.core.targets.known_target import anywhere
 from vision_pc.core.targets.measuring import at_click, holes
 from vision_pc.core.targets.moving_thing import refuse_moved
 from vision_pc.core.targets.sighting import Click
@@ -142,21 +141,6 @@ class CameraEyes(FrameEyes[StereoPair]):
         if X_CM is not None:
             X_BO = X_BT @ se3.transform(_R_TM, np.zeros(3)) @ se3.inverse(X_CM) @ found.X_CO
         return self.targets.add(found, pair.frame_id, X_BT, X_BO)
-
-    async def found_again(self, target_id: str) -> KeptTarget:
-        """Find a taught target anywhere in a fresh picture, whatever was known of its place, and aim at it.
-
-        Raises TargetRefused (``target.not_taught``, and as ``anywhere``), RequestRefused
-        (``refused.unknown_target``, ``refused.moving``), LinkLost.
-        """
-        known = self.targets.get(target_id).believed
-        pair = await self._clicked(None)
-        X_BT = await self._at_rest_since(pair)
-        before = None if self._latest is None else self._latest[1]
-        seen = await self.aside(
-            lambda: anywhere(self._aimed.sighted(pair, self._aimed.plain(pair, before)), known)
-        )
-        return self.targets.found(target_id, seen, pair.frame_id, X_BT)
 
     async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
         """The number of the newest picture and all holes in it. Raises LinkLost."""

@@ -169,13 +169,6 @@ class Camera(Protocol):
         """Measure what a click means, and keep it. Raises TargetRefused, RequestRefused, LinkLost."""
         ...
 
-    async def found_again(self, target_id: str) -> KeptTarget:
-        """Find a taught target anywhere in a fresh picture.
-
-        Raises TargetRefused, RequestRefused, LinkLost.
-        """
-        ...
-
     async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
         """The number of the newest picture and all holes in it. Raises LinkLost."""
         ...

@@ -13,7 +13,7 @@ from plant_emulator.core.camera.lighting import NO_GLARE, glare_on, shadow_on
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import TrueEye
-from plant_emulator.core.camera.wall import bores, gloss, tubes, wall_painter
+from plant_emulator.core.camera.wall import bores, gloss, wall_painter
 from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 
 Grey = NDArray[np.uint8]
@@ -54,8 +54,6 @@ class Eye:
         self._paint_wall(picture, X_EOs, edge_m)
         for group in (self._on_wall, self._sheets(_of("O", covers))):
             self._paint_plates(picture, group, X_EOs @ group.poses[:, None], group.poses, edge_m)
-        if self._tubes:
-            tubes.paint(picture, self._rays, self._tubes, self._view(X_EOs, edge_m), X_EOs[0], self.lens)
         for passer, group in zip(self._scene.passers, self._passing, strict=True):
             X_OPs = np.stack([passer.pose(time_s + end_s) for end_s in self._ends_s])
             self._paint_plates(picture, group, (X_EOs @ X_OPs)[None], X_OPs[:1], edge_m)
@@ -70,10 +68,6 @@ class Eye:
     def _bores(self) -> tuple[bores.Bore, ...]:
         wall = self._scene.config.wall
         return tuple(bores.bore(hole, wall) for hole in wall.drill_holes if hole.depth_m > 0.0)
-
-    @cached_property
-    def _tubes(self) -> tuple[tubes.Tube, ...]:
-        return tuple(tubes.tube(config) for config in self._scene.config.wall.tubes)
 
     @cached_property
     def _on_wall(self) -> Sheets:

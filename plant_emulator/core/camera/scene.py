@@ -27,7 +27,6 @@ from plant_emulator.core.camera.surroundings import (
     front_of,
     passer_plate,
     rebar_plates,
-    tube_outline,
 )
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -164,7 +163,6 @@ class Scene:
         }
         self.standing = (
             *(plate for block in config.wall.blocks for plate in block_outline(block)),
-            *(tube_outline(tube) for tube in config.wall.tubes),
             *(bar for mat in config.rebar for bar in rebar_plates(mat)),
             *(piece for cable in config.cables for piece in cable_plates(cable)),
             *self._obstacles("wall"),

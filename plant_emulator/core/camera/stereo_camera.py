@@ -112,10 +112,10 @@ class StereoCamera:
 
 
 def _painted(wall: WallConfig) -> WallConfig:
-    """What of a wall its texture shows: light, relief, tubes and what stands before it are not in it."""
+    """What of a wall its texture shows: light, relief and what stands before it are not in it."""
     plain = {"lighting_gradient_per_m": (0.0, 0.0), "undulation_mm": 0.0, "undulation_length_m": 1.0}
     paint = tuple(hole for hole in wall.drill_holes if hole.depth_m == 0.0)
-    return wall.model_copy(update=plain | {"drill_holes": paint, "tubes": (), "blocks": ()})
+    return wall.model_copy(update=plain | {"drill_holes": paint, "blocks": ()})
 
 
 @lru_cache(maxsize=1)

@@ -12,7 +12,6 @@ from plant_emulator.config.surroundings import (
     CableConfig,
     PasserConfig,
     RebarConfig,
-    TubeConfig,
     WallConfig,
 )
 from plant_emulator.core.camera.plates import Plate, halved, plain_plate
@@ -61,12 +60,6 @@ def block_outline(block: BlockConfig, grey: float = 0.0) -> tuple[Plate, ...]:
         X_OP = about @ transform(outwards, np.array([0.5 * reach, 0.0, 0.5 * depth]))
         plates.append(plain_plate(X_OP, (-0.5 * depth, 0.5 * depth), (-0.5 * length, 0.5 * length), grey))
     return *plates, front_of(block.size_m, (x, y, depth))
-
-
-def tube_outline(tube: TubeConfig) -> Plate:
-    """The square about a tube's front rim."""
-    side = 0.001 * (tube.diameter_mm + 2.0 * tube.wall_mm)
-    return front_of((side, side), (*tube.centre_m, tube.length_m))
 
 
 def block_plates(block: BlockConfig, wall: WallConfig) -> tuple[Plate, ...]:

@@ -42,15 +42,12 @@ JSON = dict[str, Any]
 class Aspect(NamedTuple):
     """How a wall is looked at: distance (m), least and greatest tilt (degrees); what its rims have lost.
 
-    ``broken``: least and greatest share of the radius; None: there are no holes. ``standing_m``: in place of
-    holes tubes stand before the wall, by so much. ``again``: a second pair is taken from elsewhere.
+    ``broken``: least and greatest share of the radius; None: there are no holes.
     """
 
     distance_m: float
     tilt_deg: tuple[float, float] = (0.0, 20.0)
     broken: tuple[float, float] | None = (0.0, 0.15)
-    standing_m: tuple[float, float] | None = None
-    again: bool = False
 
 
 class DrawnWall(NamedTuple):
@@ -68,15 +65,6 @@ class DrawnWall(NamedTuple):
     whole: NDArray[np.bool_]
     contrast: float
     tilt_deg: float
-    then: "LaterPair | None" = None
-
-
-class LaterPair(NamedTuple):
-    """The same wall from elsewhere: as vision sees it, with a camera that is known, the same aim there."""
-
-    seen: Sighted
-    known: Sighted
-    aim: Array
 
 
 def drawn_wall(config_dir: Path, seed: int, aspect: Aspect, over: Mapping[str, Any]) -> DrawnWall:
@@ -87,9 +75,7 @@ def drawn_wall(config_dir: Path, seed: int, aspect: Aspect, over: Mapping[str, A
     wall: JSON = _wall(np.random.default_rng([seed // GROUP, _STREAM])) | _relief(rng) | dict(over)
     square_m = wall.pop("square_m", None)
     place = rng.uniform(-1.2, 1.2, 2)
-    if aspect.standing_m is not None:
-        wall["tubes"] = _tubes(rng, place, aspect.standing_m)
-    elif aspect.broken is not None:
+    if aspect.broken is not None:
         wall["drill_holes"] = _holes(rng, place, aspect.broken)
     scene = {"seed": seed, "wall": wall, "lighting": {"shadow": _shadow(rng)}}
     scene["object_of_interest"] = {"markers": []}
@@ -144,23 +130,6 @@ def _holes(rng: np.random.Generator, place: Array, broken: tuple[float, float]) 
     ]
 
 
-def _tubes(rng: np.random.Generator, place: Array, standing_m: tuple[float, float]) -> list[JSON]:
-    """As the holes, of another wall thickness and brightness each."""
-    return [
-        {
-            "centre_m": hole["centre_m"],
-            "diameter_mm": hole["diameter_mm"],
-            "wall_mm": rng.uniform(2.5, 6.0),
-            "length_m": rng.uniform(*standing_m),
-            "depth_m": hole["depth_m"],
-            "grey": hole["grey"],
-            "rim_grey": int(rng.integers(130, 200)),
-            "side_grey": int(rng.integers(80, 150)),
-        }
-        for hole in _holes(rng, place, (0.0, 0.0))
-    ]
-
-
 def _shadow(rng: np.random.Generator) -> JSON:
     """In three of ten pictures the edge of a shade lies somewhere on the wall."""
     return {
@@ -206,7 +175,7 @@ def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect
     beside = [rng.choice([-1.0, 1.0]) * rng.uniform(0.17, 0.22), rng.uniform(0.02, 0.1)]
     before = min(rng.uniform(0.38, 0.45), aspect.distance_m - _CLEARANCE_M)
     X_CM = se3.transform(turned, [*beside, before])
-    point = np.array([*place, _height(config.wall, place)])
+    point = np.array([*place, height_of_wall(config.wall, *place)])
     tilt = rng.uniform(*aspect.tilt_deg)
     while True:
         X_CO = _looked_at(rng, point, aspect.distance_m, tilt)
@@ -221,11 +190,6 @@ def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect
     nominal = intrinsics.calibration(settings.vision.camera)
     observation = observe(pair, nominal, markers)
     told = observation._replace(offset=StereoOffset(0.0, 0.0, 1e-6, 1e-6))
-    then = None
-    if aspect.again:
-        elsewhere = aspect._replace(distance_m=aspect.distance_m * rng.uniform(0.8, 1.2), again=False)
-        later = _pictured(settings, rng, place, elsewhere)
-        then = LaterPair(later.seen, later.known, later.aim)
     return DrawnWall(
         Sighted(pair, nominal, observation, markers, targets),
         Sighted(pair, true_calibration(settings), told, markers, targets),
@@ -235,7 +199,6 @@ def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect
         whole=_whole(camera, places, tool),
         contrast=config.wall.contrast_grey,
         tilt_deg=tilt,
-        then=then,
     )
 
 
@@ -259,7 +222,6 @@ def _clear(pixel: Array, tool: Array, camera: Any) -> bool:
 def _places(wall: WallConfig, X_CO: Array) -> Array:
     """Middles (n, 3) in C of the holes of our width."""
     ours = [np.array(hole.centre_m) for hole in wall.drill_holes if hole.diameter_mm == HOLE_MM]
-    ours += [np.array(tube.centre_m) for tube in wall.tubes if tube.diameter_mm == HOLE_MM]
     return np.array([_frame(wall, X_CO, place)[:3, 3] for place in ours]).reshape(-1, 3)
 
 
@@ -272,24 +234,8 @@ def _whole(camera: StereoCamera, places: Array, tool: Any) -> NDArray[np.bool_]:
     return np.asarray(np.all(clear, axis=0))
 
 
-def _standing(wall: WallConfig, place: Array) -> float | None:
-    """How far the tube at ``place`` (2,) stands before the wall, None where there is none."""
-    return next((tube.length_m for tube in wall.tubes if np.allclose(tube.centre_m, place)), None)
-
-
-def _height(wall: WallConfig, place: Array) -> float:
-    standing = _standing(wall, place)
-    return height_of_wall(wall, *place) if standing is None else standing
-
-
 def _frame(wall: WallConfig, X_CO: Array, place: Array) -> Array:
-    """The target's true frame in C at ``place`` (2,) of the wall, its normal that of what is around.
-
-    Of a tube: at the middle of its mouth.
-    """
-    standing = _standing(wall, place)
-    if standing is not None:
-        return frame_on(se3.apply(X_CO, np.array([[*place, standing]]))[0], X_CO[:3, 2])
+    """The target's true frame in C at ``place`` (2,) of the wall, its normal that of what is around."""
     turns = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     ring = place + 0.0005 * HOLE_MM * np.column_stack([np.cos(turns), np.sin(turns)])
     heights = np.array([height_of_wall(wall, x, y) for x, y in ring])

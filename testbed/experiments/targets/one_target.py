@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.experiments.targets.drawn_walls import GROUP, Aspect, DrawnWall, LaterPair, drawn_wall
+from testbed.experiments.targets.drawn_walls import GROUP, Aspect, DrawnWall, drawn_wall
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.known_target import anywhere
 from vision_pc.core.targets.measuring import at_click, holes
-from vision_pc.core.targets.sighting import Click, KnownTarget, Sighted
+from vision_pc.core.targets.sighting import Click, Sighted
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 
 NAN = float("nan")
@@ -38,17 +37,11 @@ ROWS = {
     "hole-2.0": Kinded("hole, 2 m", "hole", Aspect(2.0), 1.0),
     "broken-1.0": Kinded("hole, rim broken by 0.2 to 0.4 r", "hole", Aspect(1.0, broken=(0.2, 0.4)), 0.5),
     "oblique-1.0": Kinded("hole, 30 to 45° aslant", "hole", Aspect(1.0, (30.0, 45.0)), 0.5),
-    "tube-1.0": Kinded(
-        "tube that stands 60 to 200 mm out, 1 m", "hole", Aspect(1.0, standing_m=(0.06, 0.2)), 0.5
-    ),
     "plane-0.7": Kinded("click, 0.7 m", "plane", Aspect(0.7, broken=None), 0.5),
     "plane-1.0": Kinded("click, 1 m", "plane", Aspect(1.0, broken=None), 0.5),
     "plane-1.5": Kinded("click, 1.5 m", "plane", Aspect(1.5, broken=None), 1.0),
     "plane-2.0": Kinded("click, 2 m", "plane", Aspect(2.0, broken=None), 1.0),
     "slanted-1.0": Kinded("click, 30 to 45° aslant", "plane", Aspect(1.0, (30.0, 45.0), None), 0.5),
-    "taught-1.0": Kinded(
-        "taught at 1 m, found again anywhere", "taught", Aspect(1.0, broken=None, again=True), 0.5
-    ),
     "bare": Kinded("click on a bare wall", "bare", Aspect(1.0, broken=None)),
     "repetitive": Kinded("click on a chessboard", "repetitive", Aspect(1.0, (0.0, 35.0), None)),
 }
@@ -106,8 +99,6 @@ def one_target(config_dir: Path, task: JSON) -> JSON:
         "row": task["row"], "seed": seed, "distance_m": asked.aspect.distance_m,
         "tilt_deg": wall.tilt_deg, "contrast": wall.contrast,
     }  # fmt: skip
-    if wall.then is not None:
-        return about | _of_template(wall, wall.then)
     return about | (_of_hole(wall) if asked.kind == "hole" else _of_click(wall, asked.kind))
 
 
@@ -138,29 +129,6 @@ def _of_click(wall: DrawnWall, kind: str) -> JSON:
         "seen": error,
         "known": _known(wall.known, click, wall.aim),
     }
-
-
-def _of_template(wall: DrawnWall, then: LaterPair) -> JSON:
-    """Taught in the first pair, found anywhere in the second."""
-    began = time.process_time()
-    try:
-        seen = _again(wall.seen, then.seen, wall.pixel)
-    except TargetRefused as refused:
-        return {"refused": refused.cause, "wrong": False, "measure_ms": _ms_since(began)}
-    spent = _ms_since(began)
-    row = {"refused": "", "wrong": _across(seen.X_CO[:3, 3], then.aim[:3, 3]) > _SAME_M, "measure_ms": spent}
-    row |= {"seen": target_error(seen, then.aim, seen.covariance)}
-    try:
-        alone = _again(wall.known, then.known, wall.pixel)
-    except TargetRefused:
-        return row
-    return row | {"known": target_error(alone, then.aim, alone.covariance, along_too=False)}
-
-
-def _again(first: Sighted, second: Sighted, pixel: Array) -> TargetObservation:
-    """Raises TargetRefused."""
-    made = at_click(first, Click("left", pixel, "template"))
-    return anywhere(second, KnownTarget("template", made.X_CO, made.covariance, None, made.taught))
 
 
 def _of_hole(wall: DrawnWall) -> JSON:

@@ -40,7 +40,6 @@ class Bench:
             diameter_m=None,
             quality=1.0,
             outline=None,
-            taught=None,
         )
         self.kept = self.targets.add(cast(TargetObservation, seen), 1, np.eye(4), None)
 

@@ -57,7 +57,6 @@ async def test_what_cannot_be_told_is_a_problem_with_its_cause_and_candidates(st
     ("half", "words"),
     [
         ({"other_u_px": 4.0}, "give both, or none"),
-        ({"size_px": 60}, "size_px is of a template, and kind is auto"),
     ],
 )
 async def test_half_a_wish_is_refused_in_words_and_not_left_out(
@@ -113,18 +112,3 @@ async def test_a_row_of_targets_is_visited_with_one_track(station: Bench) -> Non
     ended = await station.succeeded("visit", {"targets": ["t1", "t2"]})
     assert [each["calibrated"] for each in ended["result"]["targets"]] == [True, False]
     assert [each["target"] for each in ended["result"]["targets"]] == ["t1", "t2"]
-
-
-async def test_a_patch_is_taught_and_found_again_and_nothing_else_is(station: Bench) -> None:
-    made = await station.post("/targets", {"u_px": 5.0, "v_px": 3.0, "kind": "template", "size_px": 40})
-    assert made.status_code == 201, made.text
-    assert (made.json()["kind"], made.json()["recognised"]) == ("template", "taught patch")
-    await station.post("/targets", {"u_px": 5.0, "v_px": 3.0})
-    found = await station.post("/targets/t1/find")
-    assert found.status_code == 200, found.text
-    assert (found.json()["aimed"], found.json()["frame_id"], found.json()["known"]) == (True, 9, "measured")
-    assert station.events("target_found")
-    other = await station.post("/targets/t2/find")
-    assert (other.status_code, other.json()["cause"]) == (422, "target.not_taught")
-    assert (await station.post("/targets/t9/find")).status_code == 404
-    assert (await station.post("/targets", {"u_px": 5.0, "v_px": 3.0, "size_px": 5})).status_code == 422

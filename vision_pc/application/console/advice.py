@@ -110,7 +110,6 @@ _OF_CAUSE = {
     "target.not_found": "Look whether it is in the picture; else click it again.",
     "target.not_planar": "Click a flat place that faces the camera.",
     "target.not_round": "Click a hole whose rim is seen all around, or a surface beside it.",
-    "target.not_taught": "Click it again: only a taught patch is found by its looks.",
     "target.outside_picture": "Click further from the rim, or jog until the place is in the middle.",
     "target.wrong_size": "Click a hole of the size that is drilled, or set the diameters that are wanted.",
     "motion.not_settled": "The arm still swings: wait, then repeat the step.",

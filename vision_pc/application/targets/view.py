@@ -20,9 +20,8 @@ class ClickBody(BaseModel):
     """A click on one eye's picture, in px of the camera's own pictures (the live right eye is half as large).
 
     ``frame_id`` of the picture that was clicked, among those shown in the last 3 s; None: a fresh one.
-    ``kind`` auto: a hole where one is under the click, else the surface; template: what is there is taught,
-    ``size_px`` wide (60), and found again by its looks. ``other_u_px``, ``other_v_px``: the same place in the
-    other eye, where one click is ambiguous.
+    ``kind`` auto: a hole where one is under the click, else the surface. ``other_u_px``, ``other_v_px``: the
+    same place in the other eye, where one click is ambiguous.
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -30,8 +29,7 @@ class ClickBody(BaseModel):
     u_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[812.4])
     v_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[301.0])
     frame_id: int | None = Field(None, ge=0, lt=2**63, examples=[4711])
-    kind: Literal["auto", "plane", "hole", "template"] = "auto"
-    size_px: int | None = Field(None, ge=30, le=120, examples=[60])
+    kind: Literal["auto", "plane", "hole"] = "auto"
     diameter_mm: float | None = Field(None, gt=5.0, le=500.0, examples=[45.0])
     other_u_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
     other_v_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
@@ -40,8 +38,6 @@ class ClickBody(BaseModel):
     def _whole(self) -> "ClickBody":
         if (self.other_u_px is None) != (self.other_v_px is None):
             raise ValueError("other_u_px and other_v_px are one place: give both, or none")
-        if self.size_px is not None and self.kind != "template":
-            raise ValueError(f"size_px is of a template, and kind is {self.kind}")
         return self
 
     def click(self) -> Click:
@@ -49,9 +45,7 @@ class ClickBody(BaseModel):
         other = None
         if self.other_u_px is not None and self.other_v_px is not None:
             other = np.array([self.other_u_px, self.other_v_px])
-        return Click(
-            self.eye, np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other, self.size_px
-        )
+        return Click(self.eye, np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other)
 
 
 def target_json(
@@ -121,8 +115,6 @@ def _by_the_sight(kept: KeptTarget) -> JSON:
 
 
 def _in_words(kind: str, diameter_m: float | None) -> str:
-    if kind == "template":
-        return "taught patch"
     return "surface" if diameter_m is None else f"{kind} {1e3 * diameter_m:.1f} mm"
 
 

@@ -15,7 +15,7 @@ from vision_pc.config.targets import TargetSettings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.sighting import KnownTarget
-from vision_pc.core.targets.target import Kind, TargetObservation, Taught
+from vision_pc.core.targets.target import Kind, TargetObservation
 
 Known = Literal["measured", "carried", "lost"]
 MARKERS = "markers"  # in place of an id: the object's markers
@@ -43,12 +43,11 @@ class KeptTarget:
     X_BO: Array | None
     known: Known = "measured"
     way_m: float = 0.0
-    taught: Taught | None = None
 
     @property
     def believed(self) -> KnownTarget:
         """Where it is, for who measures it again."""
-        return KnownTarget(self.kind, self.X_CO, self.covariance, self.diameter_m, self.taught)
+        return KnownTarget(self.kind, self.X_CO, self.covariance, self.diameter_m)
 
 
 class TargetKeeper:
@@ -91,7 +90,7 @@ class TargetKeeper:
         self._made += 1
         kept = KeptTarget(
             f"t{self._made}", seen.kind, seen.X_CO, seen.covariance, seen.diameter_m, seen.quality,
-            seen.outline, frame_id, X_BT, X_BO, taught=seen.taught,
+            seen.outline, frame_id, X_BT, X_BO,
         )  # fmt: skip
         self._all[kept.id] = kept
         self._aimed = kept.id
@@ -114,15 +113,6 @@ class TargetKeeper:
         kept.X_CO, kept.covariance, kept.X_BT = X_CO, covariance, X_BT
         if measured:
             kept.known, kept.way_m = "measured", 0.0
-
-    def found(self, target_id: str, seen: TargetObservation, frame_id: int, X_BT: Array) -> KeptTarget:
-        """Note where a target was found again, and aim at it. Raises as ``get``."""
-        kept = self.get(target_id)
-        kept.X_CO, kept.covariance, kept.quality = seen.X_CO, seen.covariance, seen.quality
-        kept.outline, kept.frame_id, kept.X_BT = seen.outline, frame_id, X_BT
-        kept.known, kept.way_m = "measured", 0.0
-        self._aimed = target_id
-        return kept
 
     def carry(self, X_C0C: Array | None, X_BT_before: Array, X_BT: Array) -> None:
         """The camera went from C0, where the arm stood at ``X_BT_before``, to C; None: nobody knows where.

@@ -6,12 +6,12 @@ import numpy as np
 
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets import row_matching, template_search, template_target
+from vision_pc.core.targets import row_matching
 from vision_pc.core.targets.hole_search import dark_spots
 from vision_pc.core.targets.measuring import measured_hole
-from vision_pc.core.targets.place_on_plane import bias_of, moved_by_plane, on_plane, plane_at
+from vision_pc.core.targets.place_on_plane import on_plane, plane_at
 from vision_pc.core.targets.sighting import KnownTarget, Sighted, region, visible
-from vision_pc.core.targets.target import TargetObservation, TargetRefused, Taught
+from vision_pc.core.targets.target import TargetObservation, TargetRefused
 from vision_pc.core.types import CameraCalibration
 
 _DEPTH_SHARE = 0.15  # by which the depth of a known target may have changed
@@ -26,8 +26,6 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
     """
     camera = sighted.believed
     p = known.X_CO[:3, 3]
-    if known.taught is not None:
-        return _found_again(sighted, known.taught, known)
     pixel = visible(sighted, camera, known)
     depths = float(p[2]) * (1.0 - _DEPTH_SHARE), float(p[2]) * (1.0 + _DEPTH_SHARE)
     if known.kind == "plane":
@@ -44,47 +42,6 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
             f"target: found {1e3 * off:.0f} mm from where it is expected, limit {1e3 * limit:.0f} mm",
         )
     return seen._replace(X_CO=_turned_least(known.X_CO, seen.X_CO))
-
-
-def anywhere(sighted: Sighted, known: KnownTarget) -> TargetObservation:
-    """A template found anywhere in the left picture, whatever was believed of its place.
-
-    Raises TargetRefused: ``target.not_taught`` for a target of another kind, ``target.not_found``,
-    ``target.ambiguous``, and as ``at_click``.
-    """
-    if known.taught is None:
-        raise TargetRefused("target.not_taught", "target: only a template is found again by its looks")
-    return _found_again(sighted, known.taught, known, everywhere=True)
-
-
-def _found_again(
-    sighted: Sighted, taught: Taught, known: KnownTarget, everywhere: bool = False
-) -> TargetObservation:
-    """A template where it lies now; within the picture's rest it was expected, or ``everywhere``."""
-    camera, expected, reach = sighted.believed, known.X_CO, None
-    if not everywhere:
-        visible(sighted, camera, known)
-        spread = 3.0 * math.sqrt(float(np.trace(known.covariance[:3, :3]))) + _AGAIN_M
-        reach = int(spread * camera.left.K[0, 0] / expected[2, 3]) + 4
-    place = template_search.find(sighted.pair.left, camera.left, taught, expected, reach)
-    found = row_matching.match(sighted.pair, camera, place.pixel, sighted.settings.depths_m)
-    plane = plane_at(sighted.pair, camera, place.pixel, found.inverse_depth)
-    laid = template_target.lay(sighted.pair.left, camera.left, taught, plane, place)
-    surface, bias = on_plane(sighted, camera, plane), bias_of(sighted, laid.X, plane)
-    in_plane = np.zeros((6, 3))
-    in_plane[:3, :2], in_plane[3:, 2] = laid.X[:3, :2], laid.X[:3, 2]
-    shifted = in_plane @ laid.covariance @ in_plane.T
-    J = moved_by_plane(plane)
-    bias += 0.5 * shifted  # what was taught is noisy too, in every frame alike
-    return surface._replace(
-        kind="template",
-        X_CO=laid.X,
-        covariance=J @ plane.covariance @ J.T + 0.5 * shifted + bias + 1e-10 * np.eye(6),
-        bias=bias,
-        quality=laid.correlation,
-        outline=template_target.outline(camera.left, taught, laid.X),
-        taught=taught,
-    )
 
 
 def _hole_again(

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from vision_pc.core.targets import circle_hole, free_rim, other_eye, row_matching, template_target
+from vision_pc.core.targets import circle_hole, other_eye, row_matching
 from vision_pc.core.targets.hole_search import dark_spots
-from vision_pc.core.targets.place_on_plane import HALF, bias_of, on_plane, plane_at
+from vision_pc.core.targets.place_on_plane import bias_of, on_plane, plane_at
 from vision_pc.core.targets.round_edge import DarkSpot
 from vision_pc.core.targets.sighting import Click, Sighted, refuse_hidden, region
 from vision_pc.core.targets.surroundings import refuse_contradicted
@@ -18,8 +18,6 @@ _SECOND_CLICK = 0.06  # share of the depth by which a click in the other eye may
 
 def at_click(sighted: Sighted, click: Click) -> TargetObservation:
     """The target that is meant by a click. Raises TargetRefused with its cause."""
-    if click.kind == "template":
-        return _taught(sighted, click)
     if click.eye == "right":
         return other_eye.told_in_left(
             at_click(other_eye.exchanged(sighted), click._replace(eye="left")), sighted.camera
@@ -59,16 +57,6 @@ def _one_hole(one: TargetObservation, other: TargetObservation) -> bool:
     return apart < 0.5 * (one.diameter_m or 0.0)
 
 
-def _taught(sighted: Sighted, click: Click) -> TargetObservation:
-    """The surface at a click, and what it looks like."""
-    seen = at_click(sighted, click._replace(kind="plane"))
-    eye, half = sighted.believed.left, (click.size_px or 2 * HALF) // 2
-    taught = template_target.teach(sighted.pair.left, eye, seen.X_CO, half)
-    return seen._replace(
-        kind="template", taught=taught, outline=template_target.outline(eye, taught, seen.X_CO)
-    )
-
-
 def _hole_at(
     sighted: Sighted, camera: CameraCalibration, click: Click, depths: tuple[float, float]
 ) -> TargetObservation | None:
@@ -98,15 +86,9 @@ def measured_hole(
     depths: tuple[float, float],
     diameter_mm: float | None,
 ) -> TargetObservation:
-    """The hole that a dark spot is: with its rim, else by what is left of it. Raises TargetRefused."""
+    """The hole that a dark spot is. Raises TargetRefused."""
     diameters = sighted.settings.diameters_m(diameter_mm)
-    try:
-        hole = circle_hole.measure(sighted.pair, camera, spot, depths, diameters)
-    except TargetRefused as refused:
-        try:
-            hole = free_rim.measure(sighted.pair, camera, spot, depths, diameters)
-        except TargetRefused:
-            raise refused from None
+    hole = circle_hole.measure(sighted.pair, camera, spot, depths, diameters)
     bias = bias_of(sighted, hole.X_CO, hole.plane)
     covariance = with_roll(hole.covariance + bias, hole.X_CO)
     return TargetObservation(

@@ -12,7 +12,7 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.camera_correction import as_believed
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets import row_matching
-from vision_pc.core.targets.target import Kind, TargetRefused, Taught
+from vision_pc.core.targets.target import Kind, TargetRefused
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
 
 _HIDDEN_RADIUS_PX = 12
@@ -34,17 +34,13 @@ class Sighted(NamedTuple):
 
 
 class Click(NamedTuple):
-    """A place in one eye's picture, px; ``other``: the same in the other eye, where one is not enough.
-
-    ``size_px``: of a template, how wide what is taught is.
-    """
+    """A place in one eye's picture, px; ``other``: the same in the other eye, where one is not enough."""
 
     eye: Literal["left", "right"]
     pixel: Array
-    kind: Literal["auto", "plane", "hole", "template"] = "auto"
+    kind: Literal["auto", "plane", "hole"] = "auto"
     diameter_mm: float | None = None
     other: Array | None = None
-    size_px: int | None = None
 
 
 class KnownTarget(NamedTuple):
@@ -54,7 +50,6 @@ class KnownTarget(NamedTuple):
     X_CO: Array
     covariance: Array
     diameter_m: float | None
-    taught: Taught | None = None
 
 
 def visible(sighted: Sighted, camera: CameraCalibration, known: KnownTarget) -> Array:

@@ -8,15 +8,8 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 
-Kind = Literal["plane", "hole", "template"]
+Kind = Literal["plane", "hole"]
 _ROLL_STD = 1e-3  # rad; the turn about the normal is no measurement: it is chosen by the camera's x axis
-
-
-class Taught(NamedTuple):
-    """A patch as it looks from straight above: greys (n, n), rows from its top, and metres to one of them."""
-
-    grey: Array
-    texel_m: float
 
 
 class TargetObservation(NamedTuple):
@@ -26,7 +19,6 @@ class TargetObservation(NamedTuple):
     as the surface allows: the axes of an object of interest. ``covariance`` and ``bias`` (6, 6) as in
     ``FrameObservation``: the whole, and what consecutive frames share. ``quality`` 0…1 is how much of the
     texture both eyes agree on. ``outline`` (n, 2): px of the left eye. ``diameter_m`` of a hole, else None.
-    ``taught``: what a template is found again by.
     """
 
     kind: Kind
@@ -36,7 +28,6 @@ class TargetObservation(NamedTuple):
     quality: float
     outline: Array
     diameter_m: float | None = None
-    taught: Taught | None = None
 
 
 class Candidate(NamedTuple):

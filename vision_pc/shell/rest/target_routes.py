@@ -84,18 +84,6 @@ def _add_one(app: FastAPI, application: VisionApplication, operations: Operation
         camera.targets.aim(target_id)
         return _shown(application, camera.targets.get(target_id))
 
-    @app.post("/targets/{target_id}/find", tags=["targets"], summary="Find a taught patch again by its looks")
-    async def find(target_id: str) -> JSON:
-        """Anywhere in a fresh picture, also when it was lost; it is aimed at from then on. Nothing moves.
-
-        422: ``target.not_taught`` for another kind, ``target.not_found``, ``target.ambiguous``. 409 while an
-        operation runs.
-        """
-        operations.refuse_busy()
-        kept = await camera.found_again(target_id)
-        application.log.write("target_found", **(document := _shown(application, kept)))
-        return document
-
     @app.delete("/targets/{target_id}", tags=["targets"], summary="Forget it",
                 status_code=HTTPStatus.NO_CONTENT)  # fmt: skip
     async def forget(target_id: str) -> None:

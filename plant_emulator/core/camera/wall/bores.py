@@ -84,9 +84,8 @@ def height_of_wall(wall: WallConfig, x: float, y: float) -> float:
 
 
 def hole_places(wall: WallConfig) -> Matrix:
-    """Middles (n, 3) in O of the mouths of all drill holes, then of all tubes that stand before the wall."""
+    """Middles (n, 3) in O of the mouths of all drill holes."""
     middles = [(*hole.centre_m, height_of_wall(wall, *hole.centre_m)) for hole in wall.drill_holes]
-    middles += [(*tube.centre_m, tube.length_m) for tube in wall.tubes]
     return np.array(middles, dtype=np.float64).reshape(-1, 3)
 
 

@@ -7,7 +7,6 @@ import { attribute, byId, make } from './dom.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const EVERY_MS = 1000;
-const DRAG_PX = 12; // of the pictures: a longer drag draws a rectangle
 const STEP_PX = 10; // of the cross that keys move; with Shift one pixel
 const KNOWN = { measured: 'seen', carried: 'carried by odometry', lost: '▲ lost: click it again' };
 const IN_MOTION = '▲ The arm moves. Wait until it is at rest, then find holes.';
@@ -20,7 +19,6 @@ let measuring = false; // what was clicked
 let polling = false;
 let moves = false; // the arm: what was seen in a picture is elsewhere in the next
 let ours = true; // what is aimed at may be another: this page has just asked for it, or a program ran
-let pressed = null; // where the button went down
 
 /** Has clicks make targets, where the service knows them. */
 export async function installTargets() {
@@ -42,11 +40,9 @@ export async function installTargets() {
   }
   attribute(byId('right'), 'aria-label', 'Right eye, live. Where the left eye does not tell the place alone, click it here, or point with the arrow keys and press Enter');
   attribute(byId('left'), 'aria-label', 'Left eye, live. Click a place, or point with the arrow keys and press Enter, to make it the target');
-  byId('left').parentElement.addEventListener('pointerdown', (event) => { pressed = pixel(event, byId('left')); });
-  byId('left').parentElement.addEventListener('click', (event) => clickOrDrag(pixel(event, byId('left'))));
+  byId('left').parentElement.addEventListener('click', (event) => click(pixel(event, byId('left'))));
   byId('right').addEventListener('click', (event) => clickRight(pixel(event, byId('right'))));
   byId('find-holes').addEventListener('click', find);
-  byId('teach').addEventListener('click', () => teach(!teaching()));
   tellCurl(byId('find-holes'), () => ['GET', '/targets?detect=true']);
   setInterval(poll, EVERY_MS);
 }
@@ -80,23 +76,11 @@ function keys(event, eye) {
   draw();
 }
 
-const teaching = () => byId('teach').getAttribute('aria-pressed') === 'true';
-const teach = (on) => byId('teach').setAttribute('aria-pressed', String(on));
-
-/** A click, or a rectangle: what is in it is taught. */
-function clickOrDrag([u, v]) {
-  const sides = pressed ? [u - pressed[0], v - pressed[1]].map(Math.abs) : [0, 0];
-  if (Math.max(...sides) < DRAG_PX) return click([u, v]);
-  const middle = [(u + pressed[0]) / 2, (v + pressed[1]) / 2].map((px) => Number(px.toFixed(1)));
-  return click(middle, { kind: 'template', size_px: Math.min(Math.max(Math.round(Math.max(...sides)), 30), 120) });
-}
-
 /** A click in the left eye: bound to the picture that was on the screen. */
-function click([u, v], more = teaching() ? { kind: 'template' } : {}) {
+function click([u, v]) {
   const frame = Number(byId('left').dataset.frame);
   if (!frame) { say('There is no picture yet: wait for one, then click.', false); return null; }
-  teach(false);
-  return ask({ u_px: u, v_px: v, frame_id: frame, ...more });
+  return ask({ u_px: u, v_px: v, frame_id: frame });
 }
 
 /** The same place in the right eye, where the left alone does not tell it. */
@@ -208,15 +192,8 @@ function row(target) {
   const forget = make('button', { type: 'button', 'aria-label': `Forget ${name}` }, 'Forget');
   act(aim, 'POST', `/targets/${target.id}/aim`);
   act(forget, 'DELETE', `/targets/${target.id}`);
-  line.append(make('span', { class: 'acts' }, ...(target.kind === 'template' ? [again(target, name)] : []), aim, forget));
+  line.append(make('span', { class: 'acts' }, aim, forget));
   return line;
-}
-
-/** A taught patch is found by its looks, also after it was lost. */
-function again(target, name) {
-  const button = make('button', { type: 'button', 'aria-label': `Find ${name}` }, 'Find');
-  act(button, 'POST', `/targets/${target.id}/find`);
-  return button;
 }
 
 function act(button, method, path) {
