@@ -1,6 +1,7 @@
 """A station for tests: the real controller link and socket arm over loopback, eyes on the synthetic arm."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dh_links
-from protocol.errors import RequestRefused
+from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
 from protocol.reference_messages import (
     ANY_ARM,
@@ -35,7 +36,7 @@ from vision_pc.core.perception.intrinsics import calibration, distorted
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
-from vision_pc.core.types import FrameObservation, Look, MarkerObservation
+from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
