@@ -74,7 +74,7 @@ def _told(parameter: inspect.Parameter) -> dict[str, Any]:
         "kind": [str(one) for one in kind] if chosen else kind.__name__,
         "optional": optional,
         "several": several,
-        "default": str(parameter.default) if chosen or kind is Path else parameter.default,
+        "default": str(parameter.default) if (chosen or kind is Path) and not several else parameter.default,
         "flags": [flag for flag in (info.default, *(info.param_decls or ())) if isinstance(flag, str)],
         **{name: getattr(info, name) for name in _INFO if getattr(info, name) is not None},
     }
@@ -85,7 +85,7 @@ def _parameter(told: dict[str, Any]) -> inspect.Parameter:
     made: Any
     if isinstance(kind, list):
         chosen: Any = StrEnum("Chosen", {name: name for name in kind})  # type: ignore[misc]
-        made, default = chosen, chosen(default)
+        made, default = chosen, default if told["several"] else chosen(default)
     else:
         made = _TYPES[kind]
         default = Path(default) if made is Path else default

@@ -1,4 +1,4 @@
-"""`longreach sensitivity`: which source of error limits where the tool ends, by Sobol indices."""
+"""`longreach experiment sensitivity`: which source of error limits where the tool ends, by Sobol indices."""
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum

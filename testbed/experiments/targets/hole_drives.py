@@ -1,4 +1,4 @@
-"""`longreach experiment hole-drives`: the worlds of the best mode with holes for markers, one look a hole."""
+"""`longreach experiment targets --method hole-drives`: drawn machines and drill holes, one look each."""
 
 import contextlib
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from protocol.errors import LongreachError, MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
 from testbed.campaigns.options import Adapting, Assignments, Commissioned
-from testbed.experiments.positioning.corrected_figures import LIMIT_MM, quantile, share
 from testbed.experiments.positioning.corrected_run import operate, settings_of
+from testbed.experiments.positioning.results import LIMIT_MM, quantile, share
 from testbed.experiments.positioning.worlds import ARMS, WorldName
 from testbed.lockstep.clock import run
 from testbed.lockstep.rig import LockstepRig

@@ -11,7 +11,7 @@ import pytest
 from testbed.campaigns.campaign import CampaignRequest, run_campaign
 from testbed.campaigns.time_spent import TimeSpent
 from testbed.campaigns.workforce import SPAWN_ENVIRONMENT
-from testbed.experiments.positioning.lockstep_demo import one_run
+from testbed.experiments.positioning.programs import one_run
 from tests.support.paths import ROOT
 
 RUNS = 8  # even, and all of one seed, so that no worker waits for the other at the end
@@ -20,7 +20,7 @@ TASK = {"scenario": "standard", "seed": 9201, "looks": 2, "assignments": []}
 RUN = (
     "import sys, time; from pathlib import Path; import cv2, numba\n"
     "cv2.setNumThreads(1); numba.set_num_threads(1)\n"
-    "from testbed.experiments.positioning.lockstep_demo import one_run\n"
+    "from testbed.experiments.positioning.programs import one_run\n"
     f"def run(): one_run(Path(sys.argv[1]), {TASK!r})\n"
     "run(); began = time.perf_counter(); run(); print(time.perf_counter() - began)"
 )

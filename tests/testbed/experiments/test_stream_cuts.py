@@ -1,4 +1,4 @@
-"""A few cuts of the reference stream; ``longreach experiment stream-cuts`` makes 459."""
+"""A few cuts of the reference stream; ``longreach experiment robustness`` makes 459."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""``longreach experiment attacks``: what strangers can do to running services, beside a time in peace."""
+"""``longreach experiment robustness --method attacks``: what strangers can do to running services."""
 
 import time
 from collections.abc import Sequence

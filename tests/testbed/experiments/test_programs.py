@@ -1,11 +1,9 @@
 """Counting runs: a run that failed counts as a miss, never as a zero."""
 
-import math
-
 import numpy as np
 
 from testbed.campaigns.typed_rows import typed
-from testbed.experiments.positioning.lockstep_demo import DemoRow, counts, row_of
+from testbed.experiments.positioning.programs import ProgramsRow, row_of, worst_after
 from testbed.reporting.outcome import Errors, Outcome, Stage
 
 
@@ -21,21 +19,18 @@ def test_rows_tell_what_was_drawn_and_where_it_ended() -> None:
     world = {"plant": {"payload": {"mass_kg": 42.0}}, "scene": {"mount": {"rotation_deg": [3.0, 0.0, 4.0]}}}
     row = row_of(outcome(7, (8.0, -6.0), (1.0, -2.0)), world)
     assert (row["seed"], row["payload_kg"], row["mount_deg"]) == (7, 42.0, 5.0)
-    assert row["look1_worst_mm"] == 8.0
-    assert row["look2_true_y_mm"] == -2.0
+    typed_row = typed(ProgramsRow, row)
+    assert [typed_row.worst_mm(look) for look in (1, 2)] == [8.0, 2.0]
 
 
-def test_counts_are_by_the_worse_axis_and_a_run_that_stopped_counts_as_missed() -> None:
+def test_errors_are_of_the_worse_axis_and_a_run_that_stopped_is_never_inside() -> None:
     rows = [
-        typed(DemoRow, row_of(made, {}))
+        typed(ProgramsRow, row_of(made, {}))
         for made in (
             outcome(1, (9.0, 0.0), (4.0, 1.0)),
             outcome(2, (4.0, -11.0), (0.0, 7.0)),
             outcome(3, (3.0, 3.0)),
         )
     ]
-    first, second = counts(rows, 2)
-    assert (first.under_10_mm, first.under_5_mm, first.not_reached) == (2, 1, 0)
-    assert (second.under_10_mm, second.under_5_mm, second.not_reached) == (2, 1, 1)
-    assert second.median_mm == 5.5
-    assert math.isnan(counts([rows[2]], 2)[1].median_mm)
+    assert worst_after(rows, 1).tolist() == [9.0, 11.0, 3.0]
+    assert worst_after(rows, 2).tolist() == [4.0, 7.0, np.inf]

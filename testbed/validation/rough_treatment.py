@@ -236,14 +236,8 @@ def treatment_verdict(done: Treated) -> list[Check]:
     ]
 
 
-def treatment_figures(done: Treated) -> dict[str, Any]:
-    """The worst figures of each event."""
-    failed = sum(bool(row.failure) for row in done.rows)
-    return {"events": summary(done.rows), "step_ms": done.settings.step_ms, "failed": failed}
-
-
-PLANT_CAMPAIGN = Experiment(
-    name="plant-campaign",
+ROUGH = Experiment(
+    name="rough",
     title="Rough treatment of the plant at random poses.",
     settings=TreatmentSettings,
     row=TreatmentRow,
@@ -251,7 +245,6 @@ PLANT_CAMPAIGN = Experiment(
     run=treat,
     table=treatment_table,
     verdict=treatment_verdict,
-    figures=treatment_figures,
     runs=500,
     world="the plant alone",
     eyes="none",

@@ -12,19 +12,19 @@ from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import perform
 from testbed.campaigns.typed_rows import typed
-from testbed.experiments.robustness.plant_campaign import (
+from testbed.validation.ledger import Ledger
+from testbed.validation.plant_balances import resting_arm
+from testbed.validation.rough_treatment import (
     ENERGY_LIMIT,
     EVENTS,
     MASS_LIMIT,
-    PLANT_CAMPAIGN,
+    ROUGH,
     TreatmentRow,
     TreatmentSettings,
     drawn_arm,
     summary,
     treat,
 )
-from testbed.validation.ledger import Ledger
-from testbed.validation.plant_balances import resting_arm
 from tests.plant_emulator.plant_world import CONFIGS
 
 POSE = [20.0, 40.0, -80.0, 10.0, -30.0, 20.0]
@@ -98,6 +98,6 @@ def test_one_bad_run_fails_its_event(changes: dict[str, Any]) -> None:
 @pytest.mark.experiment
 @pytest.mark.timeout(3600)
 def test_a_campaign_keeps_to_its_limits(tmp_path: Path) -> None:
-    """Forty runs of the five hundred of `longreach experiment plant-campaign`."""
+    """Forty runs of the five hundred of `longreach experiment validation --method rough`."""
     request = CampaignRequest(CONFIGS, tmp_path, runs=40, json=tmp_path / "figures.json")
-    assert perform(PLANT_CAMPAIGN, request, TreatmentSettings())
+    assert perform(ROUGH, request, TreatmentSettings())
