@@ -12,7 +12,7 @@ from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Setti
 from vision_pc.config.choices import LensModel
 
 if TYPE_CHECKING:
-    from testbed.camera.boards import AskedBoard
+    from testbed.camera.pairs import AskedBoard
     from vision_pc.config.vision import VisionConfig
 
 app = typer.Typer(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from foundation.command_options import options_of, with_signature
-from testbed.campaigns.option_shapes import ShownExperiment, pinned
+from testbed.campaigns.options import ShownExperiment, pinned
 from testbed.cli.every_command import dressed
 from testbed.cli.later import LaterGroup
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile

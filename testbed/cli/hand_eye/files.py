@@ -11,9 +11,9 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource
 from testbed.hand_eye import picture_samples, presentation, trajectories
 from testbed.hand_eye.board_views import detect, intrinsics_row, intrinsics_table
-from testbed.hand_eye.hold_out import hold_out, hold_out_table
 from testbed.hand_eye.importer import ImportOptions, load
-from testbed.hand_eye.robot_poses import read_robot_poses
+from testbed.hand_eye.pose_text import read_robot_poses
+from testbed.hand_eye.presentation import hold_out, hold_out_table
 from testbed.hand_eye.trajectories import PairingOptions
 from testbed.pictures.board_question import question
 from testbed.reporting.console import out, write_json

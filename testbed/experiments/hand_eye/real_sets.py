@@ -19,8 +19,8 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, NoSettings, at_most
 from testbed.experiments.hand_eye.hua import demand_all
 from testbed.hand_eye import trajectories
-from testbed.hand_eye.hold_out import HoldOutRow, hold_out, hold_out_table
 from testbed.hand_eye.importer import ImportOptions, load
+from testbed.hand_eye.presentation import HoldOutRow, hold_out, hold_out_table
 from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs

@@ -18,7 +18,7 @@ from foundation.configuration import merged, parse_overrides
 from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
-from testbed.campaigns.row_file import Row
+from testbed.campaigns.rows import Row
 from testbed.experiments.paper import comparison, figures, published
 from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared, Conclusion
 from testbed.experiments.paper.measurement import measure, trace

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from testbed.campaigns.row_file import Row
+from testbed.campaigns.rows import Row
 from testbed.experiments.paper import published
 from testbed.experiments.paper.published import Published
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from testbed.campaigns.row_file import Row
+from testbed.campaigns.rows import Row
 from testbed.experiments.paper.comparison import SUB_CENTIMETRE_MM, values
 from testbed.reporting.plots import AXIS_COLOURS, STYLE
 

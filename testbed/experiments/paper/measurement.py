@@ -16,7 +16,7 @@ from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import LongreachError, MeasurementFailed
 from protocol.faults import CommandCode
-from testbed.campaigns.row_file import Row
+from testbed.campaigns.rows import Row
 from testbed.experiments.paper.opencv_sight import opencv_sight
 from testbed.experiments.paper.tracing import Traced, Tracer
 from testbed.lockstep.clock import run

@@ -15,7 +15,7 @@ import numpy as np
 from foundation.configuration import laid_over, merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
+from testbed.campaigns.rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.scenarios import Drawn, draw
 from testbed.experiments.positioning.stated import stated_commissioning
 from testbed.experiments.positioning.worlds import WORLDS, WorldName

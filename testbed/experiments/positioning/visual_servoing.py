@@ -11,7 +11,7 @@ from rich.table import Table
 from protocol.errors import LongreachError
 from testbed.campaigns.campaign import Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
+from testbed.campaigns.rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.corrected import DrawnSettings, positioning_tasks, stops_table
 from testbed.experiments.positioning.corrected_run import drawn_by, operate, prepared, true_error_mm
 from testbed.experiments.positioning.results import quantile, share, worst_mm

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ
+from testbed.campaigns.rows import UNKNOWN, XYZ
 from testbed.experiments.positioning.corrected_run import driven, operate
 from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.experiments.sensitivity.mixed_worlds import mixed_rig, sources_of

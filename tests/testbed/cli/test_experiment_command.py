@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from testbed.campaigns.experiment import Experiment, at_least, inside
-from testbed.campaigns.option_shapes import PINNED, written_down
+from testbed.campaigns.options import PINNED, written_down
 from testbed.cli.experiment import app as typer_group
 from testbed.cli.experiment import shown_of
 from testbed.cli.main import app

@@ -11,7 +11,7 @@ from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
-from testbed.campaigns.typed_rows import flat, typed
+from testbed.campaigns.rows import flat, typed
 from testbed.experiments.positioning.corrected import (
     BOTH_ARMS,
     DrawnSettings,

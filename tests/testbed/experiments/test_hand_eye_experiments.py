@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import NoSettings, perform
-from testbed.campaigns.row_file import RowFile
+from testbed.campaigns.rows import RowFile
 from testbed.cli.main import app
 from testbed.experiments.hand_eye import localisation, scenes
 from testbed.experiments.hand_eye.guided_campaign import GUIDED, GuidedCampaignSettings

@@ -10,7 +10,7 @@ from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import NoSettings, perform
 from testbed.experiments.hand_eye import real_sets
 from testbed.hand_eye.board_views import detect
-from testbed.hand_eye.hold_out import hold_out
+from testbed.hand_eye.presentation import hold_out
 from tests.support.paths import CONFIGS
 from vision_pc.config.choices import Detector, Method
 from vision_pc.core import se3

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.rows import typed
 from testbed.experiments.positioning.programs import ProgramsRow, row_of, worst_after
 from testbed.reporting.outcome import Errors, Outcome, Stage
 

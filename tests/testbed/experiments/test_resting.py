@@ -14,7 +14,7 @@ from protocol.pose import Pose
 from protocol.reference_messages import FLAG_SETTLED, ReferencePose
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
-from testbed.campaigns.typed_rows import flat
+from testbed.campaigns.rows import flat
 from testbed.experiments.resting import parking
 from testbed.experiments.resting.machines import MachineKind, arrived, drawn_machine, machines, stepped
 from testbed.experiments.resting.parking import (

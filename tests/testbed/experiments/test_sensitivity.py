@@ -10,7 +10,7 @@ from scipy.stats import sobol_indices, uniform
 
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import perform
-from testbed.campaigns.typed_rows import XYZ
+from testbed.campaigns.rows import XYZ
 from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.experiments.sensitivity import mixed_worlds
 from testbed.experiments.sensitivity import sobol as sobol_module

@@ -2,7 +2,7 @@
 
 import pytest
 
-from testbed.experiments.robustness.stream_cut_run import COMMAND_MS, FLOW_MS, one_cut
+from testbed.experiments.robustness.stream_cuts import COMMAND_MS, FLOW_MS, one_cut
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 

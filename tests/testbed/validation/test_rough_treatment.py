@@ -11,7 +11,7 @@ from plant_emulator.core.layout import PRESSURE_A
 from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import perform
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.rows import typed
 from testbed.validation.ledger import Ledger
 from testbed.validation.plant_balances import resting_arm
 from testbed.validation.rough_treatment import (

@@ -1,19 +1,27 @@
 """``longreach experiment robustness --method attacks``: what strangers can do to running services."""
 
+import http.client
+import multiprocessing
+import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
 from typer import Option
 
+from foundation.configuration import merged, parse_overrides
+from protocol.errors import LongreachError
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.campaigns.options import Assignments
-from testbed.experiments.robustness.attacks.strangers import ATTACKS
-from testbed.experiments.robustness.attacks.trial import SECONDS, one_trial
-from testbed.reporting.console import table
+from testbed.experiments.robustness.attacks.strangers import ATTACKS, Listeners
+from testbed.realtime.launch import Launch, prepare
+from testbed.realtime.rest_rig import JSON, RestRig
+from testbed.realtime.supervisor import supervised
+from testbed.reporting.console import bars, table
 
 NONE = "none"
 STOP_P99_MS = 250.0  # over HTTP, connection included, on a machine that the attacker shares
@@ -95,6 +103,123 @@ def attack_verdict(done: Attacked) -> list[Check]:
 
 def _none(what: str, found: list[str]) -> Check:
     return Check(what, ", ".join(found) or "none", "none", not found)
+
+
+SECONDS = 15.0  # of attack: a motion, then stops
+_STOP_EVERY_S = 0.05
+_STROKE_M = 0.1
+_HEALTHY_S = 60.0
+_PATIENCE_S = 10.0
+
+
+class Counters(NamedTuple):
+    """What the controller has counted since its start."""
+
+    scans: int
+    overruns: int
+    exchange_failures: int
+
+
+def one_trial(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """The row of one attack, the services started for it alone; logs and records in ``directory``."""
+    overrides = merged(parse_overrides(task["assignments"]), {})
+    launch = prepare(config_dir, overrides, Path(task["directory"]), any_ports=True)
+    with bars() as shown, supervised(launch.services, launch.directory):
+        rig = RestRig(launch.rest_url)
+        try:
+            rig.wait_healthy(_HEALTHY_S)
+            rig.command("enable")
+            with shown.step(task["attack"]) as bar:
+                return {"attack": task["attack"]} | _attacked(launch, rig, task["attack"], bar)
+        finally:
+            rig.close()
+
+
+def _attacked(launch: Launch, rig: RestRig, attack: str, bar: Any) -> dict[str, Any]:
+    rig.operate("move", {"offset_base_m": [0.0, _STROKE_M, 0.0]}, bar)  # something to follow
+    before = _counters(rig.state())
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1, _many_files) as strangers:
+        running = strangers.apply_async(_run, (attack, _listeners(launch), SECONDS))
+        until_s = time.monotonic() + SECONDS
+        time.sleep(1.0)  # the attack is under way
+        motion = _moved(rig, bar)
+        waits_ms, failed = _stops(launch, until_s)
+        counts = running.get(SECONDS + _PATIENCE_S)
+    after = _counters(_patiently(rig.state))
+    return {
+        "motion": motion,
+        "stops": len(waits_ms),
+        "stops_failed": failed,
+        "stop_ms": waits_ms,
+        "scans": after.scans - before.scans,
+        "overruns": after.overruns - before.overruns,
+        "exchange_failures": after.exchange_failures - before.exchange_failures,
+        "answers": dict(counts),
+    }
+
+
+def _moved(rig: RestRig, bar: Any) -> str:
+    """How a motion ended: "succeeded", or the cause."""
+    try:
+        rig.operate("move", {"offset_base_m": [0.0, -_STROKE_M, 0.0]}, bar)
+    except LongreachError as error:
+        return error.cause
+    return "succeeded"
+
+
+def _stops(launch: Launch, until_s: float) -> tuple[list[float], int]:
+    """How long (ms) each POST /stop took, connection included, and how many were not accepted."""
+    waits_ms, failed = [], 0
+    api = launch.settings.vision.api
+    while time.monotonic() < until_s:
+        begin_s = time.monotonic()
+        connection = http.client.HTTPConnection(api.host, api.port, timeout=_PATIENCE_S)
+        try:
+            connection.request("POST", "/stop")
+            accepted = connection.getresponse().status == http.HTTPStatus.OK
+        except (OSError, http.client.HTTPException):
+            accepted = False
+        finally:
+            connection.close()
+        waits_ms.append(1e3 * (time.monotonic() - begin_s))
+        failed += not accepted
+        time.sleep(_STOP_EVERY_S)
+    return waits_ms, failed
+
+
+def _patiently(state: Callable[[], JSON]) -> JSON:
+    """The state once it is given again, when the attack has just ended."""
+    until_s = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            return state()
+        except LongreachError:
+            if time.monotonic() > until_s:
+                raise
+            time.sleep(_STOP_EVERY_S)
+
+
+def _counters(state: JSON) -> Counters:
+    cycle = state["cycle"]
+    return Counters(cycle["count"], cycle["overruns"], cycle["plant_exchange_failures"])
+
+
+def _listeners(launch: Launch) -> Listeners:
+    plant, api = launch.settings.plant_service, launch.settings.vision.api
+    link = launch.settings.controller.reference_link
+    ends = (api, plant.fault_face, plant.modbus, plant.camera_stream, link)
+    return Listeners(*((end.host, end.port) for end in ends))
+
+
+def _many_files() -> None:
+    """Let this process hold as many connections as the machine allows."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+
+
+def _run(attack: str, listeners: Listeners, seconds: float) -> dict[str, int]:
+    return dict(ATTACKS[attack](listeners, seconds))
 
 
 ATTACKS_EXPERIMENT = Experiment(

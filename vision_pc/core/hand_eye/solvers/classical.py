@@ -198,9 +198,9 @@ def dqcr(f: Forms) -> tuple[Array, Certificate]:
     """X (4, 4) by DQCR's two problems in closed form, and the certificate of problem 1.
 
     With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i =
-    A(x'_i) − B(y'_i): problem 1, (27), is min Σ ‖R_i g‖² with gᵀg = 1, problem 2, (31), min Σ ‖R_i g' + D_i g‖²
-    with gᵀg' = 0 (Hua et al. 2024, section 4.2). The first is a 4×4 eigenvalue problem and the second one of
-    linear least squares, so the published moment relaxations are tight and have the same answer.
+    A(x'_i) − B(y'_i): problem 1, (27), is min Σ ‖R_i g‖² with gᵀg = 1, problem 2, (31), min Σ ‖R_i g' + D_i
+    g‖² with gᵀg' = 0 (Hua et al. 2024, section 4.2). The first is a 4×4 eigenvalue problem and the second
+    one of linear least squares, so the published moment relaxations are tight and have the same answer.
     """
     values, vectors = np.linalg.eigh(f.RR)
     g = vectors[:, 0]
