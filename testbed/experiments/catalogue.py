@@ -75,7 +75,7 @@ OURS = {
         "30 to 60 CPU s",
     ),
     "sensitivity": _one(
-        "sensitivity.campaign:SENSITIVITY",
+        "positioning.sensitivity:SENSITIVITY",
         "which source of error limits where the tool ends: Sobol indices with their intervals",
         "10 CPU s, 9 of the lab's and 13 of the real world's a sample, 64 samples",
     ),
@@ -113,7 +113,7 @@ OURS = {
         "8 CPU s",
     ),
     "parking": _one(
-        "resting.parking:PARKING",
+        "robustness.parking:PARKING",
         "how long joints take into 0.3 mrad, and how far the tool moves in ten minutes at rest",
         "60 to 90 CPU s of ten minutes",
     ),
@@ -121,7 +121,7 @@ OURS = {
         {
             "stream-cuts": "robustness.stream_cuts:STREAM_CUTS",
             "controller-kills": "robustness.controller_kills:CONTROLLER_KILLS",
-            "attacks": "robustness.attacks.campaign:ATTACKS_EXPERIMENT",
+            "attacks": "robustness.attacks:ATTACKS_EXPERIMENT",
         },
         "how soon the arm stops when references are cut, or its controller killed or suspended; or what a"
         " stranger's requests do to motions and stops",
@@ -133,7 +133,7 @@ OURS = {
         "20 to 35 CPU s a joint",
     ),
     "identification": _one(
-        "identification.drawn_plants:IDENTIFICATION",
+        "robustness.identification:IDENTIFICATION",
         "whether `longreach identify` finds a plant's parameters, and is as sure as it may be",
         "90 CPU s",
     ),

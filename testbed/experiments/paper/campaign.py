@@ -19,7 +19,7 @@ from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.rows import Row
-from testbed.experiments.paper import comparison, figures, published
+from testbed.experiments.paper import comparison, figures
 from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared, Conclusion
 from testbed.experiments.paper.measurement import measure, trace
 from testbed.reporting.console import out, table
@@ -148,7 +148,7 @@ def paper_plot(done: Paper) -> Mapping[str, Figure]:
     rows = by_kind(done)
     drawn = {name: _drawn(name, done, rows[figures.KINDS[name]]) for name in done.settings.figures}
     for name in drawn:
-        out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
+        out.print(f"{name}: {figures.FIGURES[name]}", highlight=False)
     report = write_comparison(done, drawn)
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
     return drawn
@@ -163,7 +163,7 @@ def write_comparison(done: Paper, drawn: Mapping[str, Figure]) -> Path:
         settings=done.settings,
         eyes=EYES[done.settings.eyes],
         tables=[(TABLES[name].title, beside[name], concluded[name]) for name in beside],
-        figures=[(name, published.FIGURES[name], svg(figure, name)) for name, figure in drawn.items()],
+        figures=[(name, figures.FIGURES[name], svg(figure, name)) for name, figure in drawn.items()],
         kinds=[(kind, _columns(rows), rows) for kind, rows in by_kind(done).items()],
         run=KeptRun(done.request.out, beginning()),
     )

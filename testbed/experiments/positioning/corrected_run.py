@@ -17,8 +17,7 @@ from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.campaigns.rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.scenarios import Drawn, draw
-from testbed.experiments.positioning.stated import stated_commissioning
-from testbed.experiments.positioning.worlds import WORLDS, WorldName
+from testbed.experiments.positioning.worlds import WORLDS, WorldName, stated_commissioning
 from testbed.lockstep.eyes import SightMaker
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog

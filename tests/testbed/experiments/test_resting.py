@@ -15,9 +15,8 @@ from protocol.reference_messages import FLAG_SETTLED, ReferencePose
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.rows import flat
-from testbed.experiments.resting import parking
-from testbed.experiments.resting.machines import MachineKind, arrived, drawn_machine, machines, stepped
-from testbed.experiments.resting.parking import (
+from testbed.experiments.robustness import parking
+from testbed.experiments.robustness.parking import (
     ParkingOptions,
     ParkingRow,
     inside_for_good,
@@ -25,6 +24,13 @@ from testbed.experiments.resting.parking import (
     parking_table,
     parking_tasks,
     parking_verdict,
+)
+from testbed.experiments.robustness.resting_machines import (
+    MachineKind,
+    arrived,
+    drawn_machine,
+    machines,
+    stepped,
 )
 from testbed.lockstep.core_loop import ClosedLoop
 from tests.support.paths import CONFIGS

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from plant_emulator.config.plant import PlantConfig
-from testbed.experiments.identification.drawn_plants import followed_mm, tuned_to
+from testbed.experiments.robustness.identification import followed_mm, tuned_to
 from testbed.identification.parameters import every_valve
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS

@@ -7,8 +7,8 @@ import pytest
 
 from protocol.errors import ConfigurationError
 from testbed.campaigns.experiment import Check, Finished
-from testbed.experiments.identification import drawn_plants
-from testbed.experiments.identification.drawn_plants import DrawSettings, IdentifiedRow, draw_verdict
+from testbed.experiments.robustness import identification as drawn_plants
+from testbed.experiments.robustness.identification import DrawSettings, IdentifiedRow, draw_verdict
 from tests.support.paths import CONFIGS
 
 GOOD = IdentifiedRow(1, 36, 35, 1.0, 0, 2.5, "lift play", 1.0, 0.9985, -0.5, 140, 0.1, 0.9, cpu_s=60.0)

@@ -15,9 +15,8 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.rows import UNKNOWN, XYZ
 from testbed.experiments.positioning.corrected_run import driven, operate
+from testbed.experiments.positioning.mixed_worlds import Limited, Runs, limited, mixed_rig, sources_of
 from testbed.experiments.positioning.worlds import WORLDS, WorldName
-from testbed.experiments.sensitivity.mixed_worlds import mixed_rig, sources_of
-from testbed.experiments.sensitivity.sobol import Limited, Runs, limited
 from testbed.reporting.console import out, table
 from testbed.reporting.plots import AXIS_COLOURS, STYLE
 

@@ -17,7 +17,7 @@ from protocol.errors import LongreachError
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.campaigns.options import Assignments
-from testbed.experiments.robustness.attacks.strangers import ATTACKS, Listeners
+from testbed.experiments.robustness.strangers import ATTACKS, Listeners
 from testbed.realtime.launch import Launch, prepare
 from testbed.realtime.rest_rig import JSON, RestRig
 from testbed.realtime.supervisor import supervised

@@ -14,7 +14,7 @@ from protocol.reference_messages import FLAG_SETTLED
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most
 from testbed.experiments.positioning.worlds import ARMS
-from testbed.experiments.resting.machines import (
+from testbed.experiments.robustness.resting_machines import (
     JSON,
     REAL,
     VALVE_SETS,

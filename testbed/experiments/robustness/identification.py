@@ -25,7 +25,7 @@ from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
-from testbed.experiments.positioning.stated import full_flow, stated_valve, tuned_gains
+from testbed.experiments.positioning.worlds import full_flow, stated_valve, tuned_gains
 from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
 from testbed.identification.findings import excess, findings
