@@ -38,7 +38,6 @@ LONG: Mapping[str, Interrupted] = MappingProxyType(
         "replay": _NOTHING,
         "camera calibrate": _NOTHING,
         "camera emulate": _NOTHING,
-        "camera loop": _NOTHING,
         "hand-eye session run": Interrupted("every sample taken, in the rig's session", "goes on from there"),
         "odometry": _NOTHING,
         "picture effects": Interrupted("the pictures drawn until then"),

@@ -1,4 +1,4 @@
-"""One run of the best mode: turn parallel, three legs, then the same look driven in one go and corrected.
+"""One run of corrected positioning: turn parallel, three legs, then one look driven open-loop and corrected.
 
 The world is forked after the calibration, so that the strictly one-shot drive, the corrected one and the
 second look begin from the very same arm, oil and noise.

@@ -1,4 +1,4 @@
-"""Worlds of the best mode in which one source of error is another machine's, and all else stays."""
+"""Drawn worlds in which one source of error is another machine's, and all else stays."""
 
 from collections.abc import Iterator, Mapping
 from functools import partial

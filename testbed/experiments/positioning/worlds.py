@@ -1,8 +1,8 @@
-"""The worlds of the best mode's campaign by name: what each draws beside the task, and what is demanded.
+"""The worlds by name: what each draws beside the task, what is demanded, what commissioning would tell.
 
 ``lab`` is the laboratory that the method was built in: servo valves that are known, a good camera. ``harder``
 adds scale, drift, lens, print and play errors. ``real`` draws everything in which one machine differs from
-the next; ``crane-real`` the same on the 10 m crane.
+the next, so its machines are emulated degraded ones; ``crane-real`` the same on the 10 m crane.
 """
 
 import math
@@ -182,9 +182,9 @@ def full_flow(valve: Valve, actuator: ActuatorConfig, drive: Drive) -> tuple[flo
 
 
 def stated_valve(
-    rng: np.random.Generator | None, valve: Valve, gains: tuple[float, float], before: JointValve
+    rng: np.random.Generator, valve: Valve, gains: tuple[float, float], before: JointValve
 ) -> JointValve:
-    """Both directions; on both arms a piston that extends raises its joint. No ``rng``: without error."""
+    """Both directions; on both arms a piston that extends raises its joint."""
     supply_a, return_b, supply_b, return_a = valve.deadband
     slopes = valve.slope_extend, valve.slope_retract
     overlaps = max(supply_a, return_b), max(supply_b, return_a)
@@ -202,7 +202,7 @@ def stated_valve(
     )
 
 
-def _edge(rng: np.random.Generator | None, overlap: float, gain: float, slope: float) -> ValveEdge:
+def _edge(rng: np.random.Generator, overlap: float, gain: float, slope: float) -> ValveEdge:
     """The flow curve is slope · s + (1 − slope) · s² of the share s of the spool's way that is left."""
     way = 1.0 - overlap
     curve = tuple((float(x), float(x + (1.0 / slope - 1.0) * x * x / way)) for x in _KNOTS)
@@ -213,7 +213,6 @@ def _edge(rng: np.random.Generator | None, overlap: float, gain: float, slope: f
     )
 
 
-def _number(rng: np.random.Generator | None, true: float, share: float, least: float = 0.0) -> MeasuredNumber:
+def _number(rng: np.random.Generator, true: float, share: float, least: float = 0.0) -> MeasuredNumber:
     std = max(share * abs(true), least)
-    error = 0.0 if rng is None else float(rng.standard_normal())
-    return MeasuredNumber(value=max(true + std * error, 0.0), std=std)
+    return MeasuredNumber(value=max(true + std * float(rng.standard_normal()), 0.0), std=std)

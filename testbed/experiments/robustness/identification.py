@@ -5,7 +5,6 @@ plant file to the recording. Asked is whether the truth lies where the fit says,
 whether motion that was not fitted is predicted.
 """
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -13,30 +12,18 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from controller.config import ControllerConfig
-from controller.core.settings import settings_from
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.valves import JOINT_NAMES
-from plant_emulator.core.plant import Plant
-from protocol.errors import MeasurementFailed
-from protocol.faults import FaultCode, Reason
-from protocol.pose import Pose
-from protocol.reference_messages import ReferencePose
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
-from testbed.experiments.positioning.worlds import full_flow, stated_valve, tuned_gains
 from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
 from testbed.identification.findings import excess, findings
 from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
-from testbed.identification.problem import plant_of
 from testbed.identification.recording import Array
 from testbed.identification.validation import check_believable, check_noise, validate
-from testbed.lockstep.core_loop import ClosedLoop
 from testbed.reporting.console import Columns, listed
-from testbed.scenarios.settings import Settings, load_settings
 
 FILE_KG = 60.0  # [D] the plant file's payload, around which the true one is drawn
 JOINTS = (0, 1, 2)
@@ -50,10 +37,6 @@ class DrawSettings(NamedTuple):
     """Which valves."""
 
     valve_set: Annotated[str, typer.Option(help="Which of plant.yaml's valve_sets.")] = "servo"
-    tuned: Annotated[
-        bool,
-        typer.Option("--tuned", help="Also drive the drawn plant, its controller tuned on the fitted file."),
-    ] = False
 
 
 class IdentifiedRow(NamedTuple):
@@ -62,9 +45,7 @@ class IdentifiedRow(NamedTuple):
     ``fit`` and ``before``: the least share of a joint's held-out motion that the fitted plant and the plant
     file predict. ``chi2``: of what is left, over the noise. ``promised``: χ² that the fit had still to
     fall by, as its last slopes tell. ``white``: the least share of a signal's autocorrelations that are as of
-    noise. ``untuned_mm``, ``on_file_mm``, ``on_plant_mm``:
-    how far (rms) the drawn plant's tool is from its reference in one motion, with the controller as
-    configured, tuned on the fitted plant, and tuned on the drawn one itself; nan unless asked for.
+    noise.
     """
 
     seed: int
@@ -80,9 +61,6 @@ class IdentifiedRow(NamedTuple):
     plant_runs: int
     promised: float
     white: float
-    untuned_mm: float = float("nan")
-    on_file_mm: float = float("nan")
-    on_plant_mm: float = float("nan")
     failure: str = ""
     cpu_s: float = float("nan")
 
@@ -120,37 +98,10 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     check_believable(found, signals)
     check_noise(signals)
     angles = [signal for signal in signals if signal.signal.endswith("angle")]
-    row = _row(task["seed"], found, theta)._replace(
+    return _row(task["seed"], found, theta)._replace(
         fit=min(signal.fit for signal in angles),
         before=min(signal.before for signal in angles),
         white=min(signal.white for signal in signals),
-    )
-    return _with_following(row, config_dir, task, true_plant, found) if task["tuned"] else row
-
-
-def _with_following(
-    row: IdentifiedRow, config_dir: Path, task: dict[str, Any], true_plant: PlantConfig, found: Identified
-) -> IdentifiedRow:
-    """``row`` with how the drawn plant follows with three controllers."""
-    own = {
-        "plant": {"payload": {"mass_kg": FILE_KG}, "valve_set": task["valve_set"]},
-        "controller": {
-            "valves": {
-                "name": task["valve_set"],
-                "pressure_compensated": task["valve_set"] == "mobile",
-            }
-        },
-    }
-    settings = load_settings(config_dir, own)
-
-    def followed(controller: ControllerConfig) -> float:
-        return followed_mm(settings, true_plant, controller, task["seed"])
-
-    fitted = plant_of(found.problem, found.whole.theta)
-    return row._replace(
-        untuned_mm=followed(settings.controller),
-        on_file_mm=followed(tuned_to(settings, fitted)),
-        on_plant_mm=followed(tuned_to(settings, true_plant)),
     )
 
 
@@ -178,10 +129,7 @@ def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
 
 def draw_tasks(request: CampaignRequest, settings: DrawSettings) -> list[Task]:
     """One task a seed."""
-    return [
-        {"key": f"{seed}", "seed": seed, "valve_set": settings.valve_set, "tuned": settings.tuned}
-        for seed in seeds(request)
-    ]
+    return [{"key": f"{seed}", "seed": seed, "valve_set": settings.valve_set} for seed in seeds(request)]
 
 
 def draw_table(done: Drawn) -> list[Table]:
@@ -198,12 +146,6 @@ def draw_table(done: Drawn) -> list[Table]:
         "fitted": lambda row: f"{100.0 * row.fit:.2f}",
         "CPU s": "{cpu_s:.0f}",
     }
-    followed: Columns = {
-        "followed mm, untuned": "{untuned_mm:.2f}",
-        "tuned on the file": "{on_file_mm:.2f}",
-        "on the plant": "{on_plant_mm:.2f}",
-    }
-    columns = {**columns, **followed} if done.settings.tuned else columns
     return [listed("plants drawn from the priors, identified from one recording each", columns, done.rows)]
 
 
@@ -220,19 +162,6 @@ def draw_verdict(done: Drawn) -> list[Check]:
         inside("NEES, mean", float(np.mean([row.nees for row in good])), (0.8, 1.25)),
         at_least("held-out motion predicted, least", 100.0 * min(row.fit for row in good), 99.0, "%"),
         at_most("CPU time of a run, most", max(row.cpu_s for row in good), 360.0, "s"),
-        *_tuned_checks(good),
-    ]
-
-
-def _tuned_checks(good: list[IdentifiedRow]) -> list[Check]:
-    """Tuned on the file, the plant follows as if tuned on itself, within a tenth in the worst run."""
-    ratios = [row.on_file_mm / row.on_plant_mm for row in good if math.isfinite(row.on_file_mm)]
-    gained = [row.on_file_mm / row.untuned_mm for row in good if math.isfinite(row.on_file_mm)]
-    if not ratios:
-        return []
-    return [
-        at_most("following, tuned on the file over tuned on the plant, most", max(ratios), 1.1),
-        at_most("following, tuned on the file over untuned, median", float(np.median(gained)), 1.0),
     ]
 
 
@@ -250,53 +179,3 @@ IDENTIFICATION = Experiment(
     world="the plant alone, every fitted parameter drawn from its prior",
     eyes="none",
 )
-
-
-_WAY_M = (0.05, 0.25, -0.15)  # [D] moves slew, lift and tilt, both ways
-_AFTER_S = 2.0
-
-
-def tuned_to(settings: Settings, plant: PlantConfig) -> ControllerConfig:
-    """The controller of ``settings`` as it would be tuned on ``plant``.
-
-    Nominal speeds are those of ``settings.plant``: where flow goes with the load, only what ``plant`` has
-    more or less of it is told.
-    """
-    controller, told = settings.controller, {}
-    compensated = plant.valves.compensator_bar > 0.0
-    for name, drive in zip(JOINT_NAMES, settings.arm.drives, strict=True):
-        actuator, usual = getattr(plant.actuators, name), getattr(settings.plant.actuators, name)
-        valve = plant.valves.of(name, actuator.rated_flow_l_min)
-        nominal = settings.plant.valves.of(name, usual.rated_flow_l_min)
-        more = (
-            valve.flow_extend_l_min / nominal.flow_extend_l_min,
-            valve.flow_retract_l_min / nominal.flow_retract_l_min,
-        )
-        gains = full_flow(valve, actuator, drive) if compensated else more
-        told[name] = stated_valve(None, valve, gains, getattr(controller.valves, name))
-    fitted = {"name": plant.valve_set, "pressure_compensated": compensated}
-    known = controller.valves.model_copy(update=told | fitted)
-    tuning = tuned_gains(known, settings)
-    control = controller.joint_control.model_copy(update={"gain_1_s": tuning.gain_1_s})
-    return controller.model_copy(update={"valves": known, "joint_control": control})
-
-
-def followed_mm(settings: Settings, plant: PlantConfig, controller: ControllerConfig, seed: int) -> float:
-    """How far (mm rms) the tool is from its reference, by the encoders, over one motion of ``plant`` and two
-    seconds after it. Raises MeasurementFailed with the controller's fault."""
-    loop = ClosedLoop(settings_from(settings.arm, controller), Plant(plant, seed))
-    loop.enable()
-    start = loop.view.X_BT
-    x, y, z = (float(p) for p in np.add(start.p_m, _WAY_M))
-    reason = loop.refer(lambda number: ReferencePose(number, Pose((x, y, z), start.q_wxyz), 0.0))
-    if reason is not Reason.ACCEPTED:
-        raise MeasurementFailed("tuned.refused", f"the motion was refused: {reason.name.lower()}")
-    missed: list[float] = []
-    left = round(_AFTER_S / loop.settings.cycle_s)
-    while left > 0:
-        view = loop.step().view
-        if view.fault is not FaultCode.NONE:
-            raise MeasurementFailed(f"fault.{view.fault.name.lower()}", f"after {1e-9 * loop.now_ns:.1f} s")
-        missed.append(float(np.linalg.norm(np.subtract(view.X_BT.p_m, view.X_BT_cmd.p_m))))
-        left -= view.motion_done
-    return 1e3 * float(np.sqrt(np.mean(np.square(missed))))

@@ -132,7 +132,7 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
 
 
 def hole_scenario(config_dir: Path, task: JSON) -> Settings:
-    """The scenario of a seed of the best mode, nine holes where its markers would be.
+    """The scenario of a seed of `positioning`, nine holes where its markers would be.
 
     The arm reaches those that are driven to with the tool as it stands: a visit does not turn it first.
     """

@@ -50,7 +50,6 @@ CASES = (
     Case("commission --out {out}", "joints are kept in"),
     Case("identify {made}/moved.csv --out {out}/plant"),
     Case("camera emulate --pairs 400 --out {out}/board"),
-    Case("camera loop {made}/camera.yaml --count 3"),
     Case("picture effects --out {out}"),
     Case("picture run --out {out}/run.webp"),
     Case("recording merge {made} --out {out}/merged.mcap"),
@@ -59,7 +58,7 @@ CASES = (
     Case("sniff --interface lo"),
 )
 NOT_TRIED = {  # of the long commands
-    "camera calibrate": "computes in one thread, as `camera loop` does",
+    "camera calibrate": "computes in one thread",
     "conformance": "waits for somebody else's controller",
     "hand-eye session run": "waits for a rig",
     "odometry": "wants a recorded sequence",

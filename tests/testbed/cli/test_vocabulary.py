@@ -57,7 +57,7 @@ def test_one_word_for_one_thing(commands: dict[str, Any]) -> None:
         named = [getattr(p, "help", None) or "" for p in command.params if p.param_type_name == "argument"]
         assert not [told for told in named if "Where" in told or "to write" in told], (path, "wants --out")
     assert set(commands) >= WITHOUT_FIGURES
-    several = {"camera loop", "experiment paper", "experiment positioning"}
+    several = {"experiment paper", "experiment positioning"}
     assert all({"--count", "--seed"} <= options(commands[path]) for path in several)
 
 

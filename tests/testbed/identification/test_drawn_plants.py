@@ -39,5 +39,5 @@ def test_the_experiment_refuses_what_the_command_refuses(monkeypatch: pytest.Mon
     for name, answer in answers.items():
         monkeypatch.setattr(drawn_plants, name, lambda *_args, answer=answer: answer)
     with pytest.raises(ConfigurationError) as caught:
-        drawn_plants.identified_plant(CONFIGS, {"seed": 1, "valve_set": "servo", "tuned": False})
+        drawn_plants.identified_plant(CONFIGS, {"seed": 1, "valve_set": "servo"})
     assert caught.value.cause == "identification.not_converged"
