@@ -34,7 +34,8 @@ from testbed.reporting.console import table
 _WAIT_S = 320.0  # for the arm to park; it is watched after that, parked or not
 _SAMPLE_S = 0.5
 _INSIDE_RAD = 0.3e-3
-_STAYS_S = 3.0  # inside at the end of the time, to count as having come in
+_INSIDE_S = 20.0  # after the motion's end, the time to come inside
+_STAYS_S = 3.0  # inside at the end of that, to count as having come in
 MOVED_MM = 1.0  # asked of ten minutes
 
 
@@ -51,7 +52,7 @@ class ParkingRow(NamedTuple):
     """One machine left alone. Positions are the tool's true ones, from where it was when watching began.
 
     ``rested_s``: after the motion's end until it parked (or settled, by the joint law), nan when it did not.
-    ``inside_s``: until every joint was inside 0.3 mrad for good, nan: never.
+    ``inside_s``: until every joint was inside 0.3 mrad for good in the first 20 s, nan: not in that time.
     ``astray``: times that the alarm was raised. ``kept``: joints that leak too fast for a shut valve.
     ``error_mrad``: largest of a joint.
     """
@@ -96,7 +97,9 @@ def park_and_watch(config_dir: Path, task: JSON) -> JSON:
         "machine": MachineKind(task["arm"], task["valves"], task["law"], machine.mass_kg),
         "minutes": task["minutes"],
         "rested_s": rested_s,
-        "inside_s": inside_for_good(np.array(outside), loop.settings.cycle_s),
+        "inside_s": inside_for_good(
+            np.array(outside[: round(_INSIDE_S / loop.settings.cycle_s)]), loop.settings.cycle_s
+        ),
         **watched,
     }
 
