@@ -23,7 +23,7 @@ include_patterns = [
     "docs/**.md",
     "examples/*/README.md",
 ]
-exclude_patterns = ["docs/results"]
+exclude_patterns = []
 suppress_warnings = ["toc.multiple_toc_parents"]
 
 myst_heading_anchors = 4  # as the forge makes them

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from testbed.camera.boards import AskedBoard, found_board
-from testbed.camera.pairs import Taken, take
+from testbed.camera.pairs import AskedBoard, Taken, found_board, take
 from testbed.pictures.board_question import question
 from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import PinholePair

@@ -13,7 +13,7 @@ from plant_emulator.core.camera.boards import board_pose
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import ConfigurationError
-from testbed.camera.boards import AskedBoard
+from testbed.camera.pairs import AskedBoard
 from testbed.reporting.console import bars, out
 from vision_pc.core import se3
 from vision_pc.core.perception.zhang_intrinsics import Charuco

@@ -13,6 +13,11 @@ import numpy as np
 
 from protocol.errors import ConfigurationError, LinkLost
 from vision_pc.config.camera import CameraSettings
+from vision_pc.config.choices import Detector
+from vision_pc.core.perception import stereo_fit
+from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.stereo_fit import PairView
+from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.cameras.directory import TABLE, read_grey, recorded_pairs
@@ -114,3 +119,19 @@ async def _live(settings: CameraSettings, most: int) -> list[StereoPair]:
     finally:
         await camera.close()
     return found
+
+
+AskedBoard = Checkerboard | Charuco
+
+
+def found_board(pair: StereoPair, board: AskedBoard, name: str) -> PairView:
+    """The corners of ``board`` that both eyes see. Raises MeasurementFailed when one of them does not see
+    it.
+    """
+    views = [
+        zhang.find_charuco(picture, board, name)
+        if isinstance(board, Charuco)
+        else zhang.find_checkerboard(picture, board, Detector.SECTORS, name)
+        for picture in (pair.left, pair.right)
+    ]
+    return stereo_fit.paired(views[0], views[1])

@@ -7,7 +7,6 @@ all the runs are made in this process, one after the other.
 
 import hashlib
 import json
-import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,8 +14,7 @@ from typing import Any, NamedTuple
 
 from protocol.errors import ConfigurationError, LinkLost
 from testbed.campaigns.provenance import content_hash, provenance_of
-from testbed.campaigns.row_file import Row, RowFile
-from testbed.campaigns.time_spent import CameBack, TimeSpent, came_back, time_spent
+from testbed.campaigns.rows import Row, RowFile
 from testbed.campaigns.workforce import AGAIN, Run, Task, results
 from testbed.reporting.console import out, plain
 from testbed.reporting.ctrl_c import kept_on_ctrl_c
@@ -43,14 +41,10 @@ class CampaignRequest(NamedTuple):
 
 
 class Campaign(NamedTuple):
-    """One row for each task, in their order; ``reused`` of them were there already.
-
-    ``spent``: where the time of those measured now went; None where there was none to speak of.
-    """
+    """One row for each task, in their order; ``reused`` of them were there already."""
 
     rows: list[Row]
     reused: int
-    spent: TimeSpent | None
 
 
 def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task], title: str) -> Campaign:
@@ -66,7 +60,7 @@ def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task],
     Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
     not answer, has no workers, or goes away; the rows done until then are kept.
     """
-    directory, began_s = request.out, time.perf_counter()
+    directory = request.out
     evidence = {scenario: evidence_of(function, scenario) for scenario in {_scenario(task) for task in tasks}}
     configurations = {str(task["key"]): configuration_of(evidence[_scenario(task)], task) for task in tasks}
     if len(configurations) != len(tasks):
@@ -85,22 +79,17 @@ def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task],
     )
     told = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
     out.print(told, style="dim", highlight=False, soft_wrap=True)
-    runs: list[CameBack] = []
-    at_once = 1
     if to_do:
         checked = partial(_on_same_evidence, function, evidence)
         workers = min(request.workers, len(to_do))
         with kept_on_ctrl_c(lambda: f"{len(file.rows)} rows are kept in {file.path}"):
-            for made in results(checked, to_do, request.scheduler, workers, title):
-                key = str(made.task["key"])
+            for task, row in results(checked, to_do, request.scheduler, workers, title):
+                key = str(task["key"])
                 named = {"key": key, "configuration": configurations[key]}
-                whole = named | _files_written(directory, "-".join(named.values()), made.row)
+                whole = named | _files_written(directory, "-".join(named.values()), row)
                 done[key, configurations[key]] = file.append(whole)
-                at_once = made.at_once
-                if run := came_back(time.perf_counter() - began_s, made.row):
-                    runs.append(run)
     rows = [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
-    return Campaign(rows, len(tasks) - len(to_do), time_spent(at_once, runs))
+    return Campaign(rows, len(tasks) - len(to_do))
 
 
 def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> str:

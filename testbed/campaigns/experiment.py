@@ -12,8 +12,7 @@ from rich.table import Table
 
 from foundation.configuration import BASE_FILE
 from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
-from testbed.campaigns.time_spent import TimeSpent
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.rows import typed
 from testbed.reporting.console import out, table, write_json
 
 if TYPE_CHECKING:  # a command that only shows its help need not wait for it
@@ -126,7 +125,7 @@ def perform(experiment: Experiment[S, R], request: CampaignRequest, settings: S)
         out.print(made)
     checks = experiment.verdict(done)
     show_checks(checks)
-    drawn, told = experiment.plot(done), _conditions(experiment, done, campaign.spent)
+    drawn, told = experiment.plot(done), _conditions(experiment, done)
     out.print(told, highlight=False, soft_wrap=True)
     _leave(experiment, request, (told, checks, tables, drawn))
     passed = all(check.met is not False for check in checks)
@@ -136,14 +135,13 @@ def perform(experiment: Experiment[S, R], request: CampaignRequest, settings: S)
         "checks": [check._asdict() for check in checks],
         "conditions": told,
         "reused": campaign.reused,
-        "spent": None if campaign.spent is None else campaign.spent._asdict(),
         "rows": campaign.rows,
     }
     write_json(request.json, figures | dict(experiment.figures(done)))
     return passed
 
 
-def _conditions(experiment: Experiment[S, R], done: Finished[S, R], spent: TimeSpent | None) -> str:
+def _conditions(experiment: Experiment[S, R], done: Finished[S, R]) -> str:
     """Runs, seeds, world, eyes and settings, reused rows, time: what a figure must not be quoted without."""
     request, chosen = done.request, done.settings._asdict()  # type: ignore[attr-defined]
     parts = [f"{len(done.rows)} runs"]
@@ -165,8 +163,6 @@ def _conditions(experiment: Experiment[S, R], done: Finished[S, R], spent: TimeS
     seconds = [float(row.cpu_s) for row in done.rows if hasattr(row, "cpu_s") and np.isfinite(row.cpu_s)]
     if seconds:
         parts.append(f"{np.mean(seconds):.1f} CPU s a run")
-    if spent is not None:
-        parts.append(spent.told())
     return "; ".join(parts)
 
 

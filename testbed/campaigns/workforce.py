@@ -21,8 +21,7 @@ from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from protocol.errors import ConfigurationError, LinkLost, LongreachError
-from testbed.campaigns.row_file import Row
-from testbed.campaigns.typed_rows import flat
+from testbed.campaigns.rows import Row, flat
 from testbed.reporting.console import bars
 
 distributed: Any = untyped  # it has types in part only
@@ -60,14 +59,6 @@ _QUIET = {
 }
 
 
-class MeasuredTask(NamedTuple):
-    """A task with its row, and how many runs there are at once: one a worker."""
-
-    task: Task
-    row: Row
-    at_once: int
-
-
 class _Done(NamedTuple):
     row: Row
     worker: str
@@ -97,14 +88,13 @@ def _run(function: Run, task: Task) -> Row:
 
 class _Workforce(NamedTuple):
     client: Any
-    workers: int
     places: int  # runs that are handed out at once
     ours: bool  # whether the workers were started here, and may be replaced
 
 
 def results(
     function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
-) -> Iterator[MeasuredTask]:
+) -> Iterator[tuple[Task, Row]]:
     """Each task with its row, as they are done, under a bar called ``title``.
 
     With ``scheduler`` the runs go to its cluster; else to ``workers`` processes, or none: they are made here.
@@ -117,25 +107,25 @@ def results(
     spent: list[float] = []
     failed = 0
     with _ctrl_c_noted() as noted, bars() as shown, shown.step(title) as bar, closing(made):
-        for each in made:
-            spent.append(each.row.get("run_s") or 0.0)
-            failed += bool(each.row["failure"])
+        for task, row in made:
+            spent.append(row.get("run_s") or 0.0)
+            failed += bool(row["failure"])
             mean_s = sum(spent) / len(spent)
             note = f"{len(spent)} of {len(tasks)}, {mean_s:.1f} s a run, {failed} failed"
             bar.update(len(spent) / len(tasks), note)
-            yield each
+            yield task, row
             if noted:  # the row is kept first
                 raise KeyboardInterrupt
 
 
-def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[MeasuredTask, None, None]:
+def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[tuple[Task, Row], None, None]:
     for task in tasks:
-        yield MeasuredTask(task, _run(function, task), 1)
+        yield task, _run(function, task)
 
 
 def _distributed(
     function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
-) -> Generator[MeasuredTask, None, None]:
+) -> Generator[tuple[Task, Row], None, None]:
     with _workforce(scheduler, workers) as force:
         waiting = iter(tasks)
         under_way: dict[Any, Task] = {}
@@ -152,7 +142,7 @@ def _distributed(
             if force.ours and done.memory > _WORN_BYTES:
                 force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
             start(1)
-            yield MeasuredTask(task, done.row, force.workers)
+            yield task, done.row
 
 
 def _first_done(client: Any, futures: Sequence[Any]) -> Any:
@@ -191,11 +181,10 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
         if scheduler is None:
             cluster = stack.enter_context(_started(workers))
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-            yield _Workforce(client, workers, workers, True)
+            yield _Workforce(client, workers, True)
         else:
             client = stack.enter_context(_reached(scheduler))
-            there = sum(client.nthreads().values())
-            yield _Workforce(client, there, 2 * there, False)
+            yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
 
 
 @contextmanager

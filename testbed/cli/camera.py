@@ -12,7 +12,7 @@ from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Setti
 from vision_pc.config.choices import LensModel
 
 if TYPE_CHECKING:
-    from testbed.camera.boards import AskedBoard
+    from testbed.camera.pairs import AskedBoard
     from vision_pc.config.vision import VisionConfig
 
 app = typer.Typer(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)
@@ -116,20 +116,6 @@ def emulate(
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     asked = None if markers else _board_of(board)
     run_emulate(load_settings(config_dir, overrides).scene, asked, pairs, seed, to)
-
-
-@app.command(epilog="Example: longreach camera loop camera.yaml --count 3 --seed 40001")
-def loop(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The calibration of the emulated raw camera.")],
-    count: Annotated[int, typer.Option(min=1, help="How many seeds, from --seed on.")] = 3,
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    json_file: JsonFile = None,
-) -> None:
-    """The best mode in lockstep through raw pairs, beside perfect ones; a minute of CPU a drive."""
-    from testbed.camera.loop import run_loop
-
-    raise typer.Exit(0 if run_loop(config_dir, file, count, seed, json_file) else 1)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from foundation.command_options import options_of, with_signature
-from testbed.campaigns.option_shapes import ShownExperiment, pinned
+from testbed.campaigns.options import ShownExperiment, pinned
 from testbed.cli.every_command import dressed
 from testbed.cli.later import LaterGroup
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
@@ -17,14 +17,16 @@ from testbed.experiments.catalogue import OURS, Entry, catalogue
 from testbed.reporting.console import out, words, writable, write_json
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
+Seed = Annotated[
+    int | None, typer.Option(min=0, help="The same seed is the same world; the first of several.")
+]
 Out = Annotated[
     Path | None,
     typer.Option("--out", help="Rows and pictures; rows that are there are not measured again."),
 ]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Measure all rows anew, also those that are there.")]
 Workers = Annotated[
-    int, typer.Option(min=0, max=64, help="How many workers to start; 0: run in this process.")
+    int | None, typer.Option(min=0, max=64, help="How many workers to start; 0: run in this process.")
 ]
 Scheduler = Annotated[
     str | None,
@@ -86,10 +88,14 @@ def _app_of(entry: Entry, name: str, shown: ShownExperiment) -> typer.Typer:
 
 
 def shown_of(entry: Entry) -> ShownExperiment:
-    """What help tells of an experiment, which is loaded."""
-    usual = entry.load()
-    options = options_of(usual.settings)
-    return ShownExperiment(usual.runs, usual.seed, usual.workers, usual.directory, options)
+    """What help tells of an experiment, which is loaded; its options are those of all its methods."""
+    usual, *others = (entry.load(method) for method in entry.places)
+    options: dict[str, inspect.Parameter] = {}
+    for one in (usual, *others):
+        for option in options_of(one.settings):
+            options.setdefault(option.name, option)
+    runs = max(one.runs for one in (usual, *others))
+    return ShownExperiment(runs, usual.seed, usual.workers, usual.directory, list(options.values()))
 
 
 def command_of(entry: Entry, shown: ShownExperiment) -> Callable[..., None]:
@@ -100,25 +106,39 @@ def command_of(entry: Entry, shown: ShownExperiment) -> Callable[..., None]:
         from testbed.campaigns.experiment import perform
         from testbed.scenarios.arms import arm_directory
 
-        wanted = entry.load(options.pop("method", None))
+        method = options.pop("method", None)
+        wanted = entry.load(method)
         if options.get("arm") not in (None, _ALL_ARMS):
             arm_directory(options["config_dir"], options["arm"])  # refused now, not by every run
+        seed, workers = options.pop("seed", None), options.pop("workers")
         request = CampaignRequest(
             config_dir=options.pop("config_dir"),
             runs=options.pop("count", None) or wanted.runs,
-            seed=options.pop("seed", wanted.seed),
+            seed=wanted.seed if seed is None else seed,
             out=options.pop("out") or wanted.directory,
             scheduler=options.pop("scheduler"),
-            workers=options.pop("workers"),
+            workers=wanted.workers if workers is None else workers,
             fresh=options.pop("fresh"),
             json=options.pop("json_file"),
             plot=options.pop("plot"),
         )
-        raise typer.Exit(0 if perform(wanted, request, wanted.settings(**options)) else 1)
+        settings = wanted.settings(**_own(options, shown, wanted.settings._fields, method))
+        raise typer.Exit(0 if perform(wanted, request, settings) else 1)
 
     parameters = [*shown.parameters, *_method(entry), *_common(shown, len(entry.places) == 1)]
     with_signature(command, parameters)
     return command
+
+
+def _own(
+    options: dict[str, Any], shown: ShownExperiment, fields: tuple[str, ...], method: str | None
+) -> dict[str, Any]:
+    """The options of the method. Raises BadParameter where one that only another method has was given."""
+    for option in shown.parameters:
+        if option.name not in fields and options[option.name] != option.default:
+            words = option.name.replace("_", "-")
+            raise typer.BadParameter(f"--{words} is not an option of --method {method}")
+    return {name: options[name] for name in fields}
 
 
 def _method(entry: Entry) -> list[inspect.Parameter]:
@@ -132,14 +152,14 @@ def _method(entry: Entry) -> list[inspect.Parameter]:
 def _common(chosen: ShownExperiment, alone: bool) -> list[inspect.Parameter]:
     counted = [
         _parameter("count", Count, chosen.runs if alone else None),
-        _parameter("seed", Seed, chosen.seed),
+        _parameter("seed", Seed, chosen.seed if alone else None),
     ]
     return [
         *(counted if chosen.runs else []),
         _parameter("out", Out, chosen.directory if alone else None),
         _parameter("fresh", Fresh, False),
         _parameter("scheduler", Scheduler, None),
-        _parameter("workers", Workers, chosen.workers),
+        _parameter("workers", Workers, chosen.workers if alone else None),
         _parameter("config_dir", ConfigDir, DEFAULT_CONFIG),
         _parameter("plot", Plot, None),
         _parameter("json_file", JsonFile, None),

@@ -11,16 +11,20 @@ from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from testbed.cli.options import IdentifyOptions
 from testbed.identification.checks import Machine, check_recording
-from testbed.identification.emulated import FINE_STEP_MS, record
-from testbed.identification.excitation import held_out, standard, widest_overlap
-from testbed.identification.findings import excess, findings
+from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
+from testbed.identification.findings import (
+    excess,
+    findings,
+    first_stages,
+    found_table,
+    validation_table,
+    write_plant_file,
+)
 from testbed.identification.fit import identify, problem_of
 from testbed.identification.parameters import parameters_of
 from testbed.identification.planning import JOINTS as PLANNED
 from testbed.identification.planning import candidates, chosen, information_of, informed, not_told
-from testbed.identification.plant_file import write_plant_file
 from testbed.identification.recording import hex_hash, read_recording, write_recording
-from testbed.identification.report import first_stages, found_table, validation_table
 from testbed.identification.validation import check_believable, check_noise, leaves_noise, validate
 from testbed.reporting.console import Columns, bars, listed, out, writable, write_json
 from testbed.scenarios.settings import load_settings

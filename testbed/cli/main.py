@@ -47,10 +47,6 @@ def longreach(
     """Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command."""
 
 
-validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
-app.add_typer(validate, name="validate")
-
-
 FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
 ]
@@ -320,42 +316,6 @@ def identify(
 
     asked = asked_of(config_dir, settings or [])
     raise typer.Exit(0 if run_identify(asked, recording, options, seed, json_file) else 1)
-
-
-@validate.command("plant", epilog="Example: longreach validate plant --json plant.json")
-def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
-    """The plant against families of known answers (geometry to energy balance)."""
-    from testbed.cli.validate import validate_plant
-
-    raise typer.Exit(0 if validate_plant(config_dir, json_file) else 1)
-
-
-@validate.command(
-    "error-sources", epilog="Example: longreach validate error-sources --json error_sources.json"
-)
-def validate_error_sources_command(
-    config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
-) -> None:
-    """Each source of error switched on alone: where its number comes from, and what it does."""
-    from testbed.cli.validate import validate_error_sources
-
-    raise typer.Exit(0 if validate_error_sources(config_dir, json_file) else 1)
-
-
-@validate.command(
-    "plant-survey", epilog="Example: longreach validate plant-survey --out runs/survey --json survey.json"
-)
-def plant_survey_command(
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    directory: Annotated[Path, typer.Option("--out", help="Where rows and plot go.")] = DEFAULT_RUNS
-    / "plant-survey",
-    json_file: JsonFile = None,
-) -> None:
-    """Sag, play, static error and free vibration of both arms over the workspace, beside stated figures."""
-    from testbed.validation.plant_survey_report import run_survey
-
-    writable(directory / "plant_survey.png")
-    run_survey(config_dir, directory, json_file)
 
 
 def main() -> None:

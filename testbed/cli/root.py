@@ -50,16 +50,13 @@ LATER = {
     ),
     "token": Later("testbed.cli.token", "Tokens of the REST APIs, and keys of the link."),
 }
-EXPERIMENTS = {
-    "sensitivity": "Which source of error limits where the tool ends: Sobol indices with their intervals."
-}  # that are commands of their own too
 PANELS = {  # in the order of use
-    "Run": ("demo", "up", "experiment", "sensitivity", "programs", "doctor"),
+    "Run": ("demo", "up", "experiment", "programs", "doctor"),
     "See what came out": ("runs", "recording", "replay"),
     "Your arm, camera and machine": (
         "init", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers", "odometry",
     ),
-    "Put to the test": ("validate", "soak", "conformance", "sniff", "proxy"),
+    "Put to the test": ("soak", "conformance", "sniff", "proxy"),
     "For other tools": ("export", "picture", "token"),
 }  # fmt: skip
 _PANEL = {name: panel for panel, names in PANELS.items() for name in names}
@@ -75,7 +72,7 @@ _CAUSES = {  # of what the command line itself refuses
 class RootGroup(LaterGroup):
     """The group of all commands."""
 
-    later = MappingProxyType({name: one.told for name, one in LATER.items()} | EXPERIMENTS)
+    later = MappingProxyType({name: one.told for name, one in LATER.items()})
 
     def load(self, name: str) -> Any:
         """The command or group called ``name``."""
@@ -84,13 +81,7 @@ class RootGroup(LaterGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that ``args`` begin with, loaded, and the other arguments."""
         ctx.meta[_TYPED] = list(args)
-        if args[0] not in EXPERIMENTS:
-            return super().resolve_command(ctx, args)
-        from testbed.cli.experiment import ExperimentGroup
-
-        name, command, others = ExperimentGroup().resolve_command(ctx, args)
-        command.epilog = command.epilog.replace("longreach experiment", "longreach")
-        return name, command, others
+        return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names in the order of use."""

@@ -16,12 +16,11 @@ from scipy import stats
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, seeds
-from testbed.experiments.positioning.corrected_figures import LIMIT_MM, quantile
 from testbed.experiments.positioning.corrected_run import driven, prepared
-from testbed.experiments.positioning.told import CONFIDENT
+from testbed.experiments.positioning.results import CONFIDENT, LIMIT_MM, quantile
 from testbed.experiments.positioning.worlds import WORLDS, WorldName
-from testbed.experiments.resting.machines import REAL
-from testbed.experiments.resting.parking import park_and_watch
+from testbed.experiments.robustness.parking import park_and_watch
+from testbed.experiments.robustness.resting_machines import REAL
 from testbed.reporting.console import table
 
 SHIPPED = "as shipped"

@@ -10,8 +10,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.hand_eye.importer import FORMAT
-from testbed.hand_eye.pose_text import file_text, numbers
-from testbed.hand_eye.robot_poses import RobotPoses
+from testbed.hand_eye.pose_text import RobotPoses, file_text, numbers
 from testbed.pictures.board_question import question
 from testbed.reporting.console import out
 from vision_pc.config.camera_files.reading import read_calibration

@@ -1,12 +1,18 @@
-"""Numbers, units and rotations as files write them, refused with their place if not to be believed."""
+"""Poses as files and robots write them: numbers, units, rotations, and one line a pose in each form.
+
+What is not to be believed is refused with its place.
+"""
 
 import math
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from protocol.errors import RequestRefused
+from testbed.hand_eye.pose_forms import PoseForm
+from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 
@@ -63,3 +69,95 @@ def numbers(value: Any, count: int, where: str) -> Array:
             "refused.hand_eye.format", f"{where}: {count} numbers are wanted, got {array.size}"
         )
     return array
+
+
+_COUNTS = {PoseForm.EULER: 6, PoseForm.UR: 6, PoseForm.KUKA: 6, PoseForm.MATRIX: 16, PoseForm.FRANKA: 16,
+           PoseForm.TUM: 8}  # fmt: skip
+_IN_MM = (PoseForm.KUKA, PoseForm.ABB)
+_AXES = "xyz"
+_ORDER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
+
+
+class RobotPoses(NamedTuple):
+    """``X_BT`` (n, 4, 4) m; ``names`` of the pictures they belong to, None where the file has none."""
+
+    X_BT: Array
+    names: tuple[str, ...] | None
+
+
+def read_robot_poses(
+    path: Path, form: PoseForm, unit: str | None = None, order: str = "ZYX", normalise: bool = False
+) -> RobotPoses:
+    """The poses of a file with a line a pose, numbers between commas, semicolons or blanks.
+
+    A first word that is no number names the picture; a first line without numbers is a header. ``unit`` is
+    that of positions (by default mm of KUKA and ABB, else m). ``order`` of Euler angles: capital letters turn
+    about the turned axes one after the other (intrinsic), small ones about fixed axes. Raises RequestRefused
+    with file and line.
+    """
+    if form is PoseForm.EULER and not (_ORDER.match(order) and order[0] != order[1] != order[2]):
+        raise RequestRefused(
+            "refused.hand_eye.format", f"Euler order {order!r}: such as ZYX or xyz is wanted"
+        )
+    scale = unit_scale(unit) if unit else UNITS["mm" if form in _IN_MM else "m"]
+    poses: list[Array] = []
+    names: list[str | None] = []
+    for number, line in enumerate(file_text(path).splitlines(), start=1):
+        words = re.split(r"[,;\s]+", line.strip().strip("[],;"))
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        name = None if _is_number(words[0]) else words.pop(0)
+        if not poses and not any(map(_is_number, words)):
+            continue  # a header
+        values = numbers(words, _COUNTS.get(form, 7), f"{path.name} line {number} ({form})")
+        X = np.eye(4)
+        p, R = _read(values, form, order, f"{path.name} line {number}", normalise)
+        X[:3, :3], X[:3, 3] = R, scale * p
+        poses.append(X)
+        names.append(name)
+    if not poses:
+        raise RequestRefused("refused.hand_eye.count", f"{path.name}: no pose in it")
+    if any(name is None for name in names) and any(names):
+        raise RequestRefused(
+            "refused.hand_eye.format", f"{path.name}: some lines name a picture, some do not"
+        )
+    told = tuple(str(name) for name in names)
+    return RobotPoses(np.stack(poses), told if names[0] is not None else None)
+
+
+def _read(v: Array, form: PoseForm, order: str, where: str, normalise: bool) -> tuple[Array, Array]:
+    """Position in the file's unit, and rotation."""
+    if form in (PoseForm.MATRIX, PoseForm.FRANKA):
+        X = v.reshape(4, 4, order="F" if form is PoseForm.FRANKA else "C")
+        if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
+            raise RequestRefused(
+                "refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1; is it "
+                "written by columns (franka) or by rows (matrix)?"
+            )  # fmt: skip
+        return X[:3, 3], X[:3, :3]
+    if form is PoseForm.TUM:
+        v = v[1:]
+    if form is PoseForm.UR:
+        return v[:3], rotation_of_vector(v[3:], where)
+    if form is PoseForm.KUKA:
+        return v[:3], _euler(np.radians(v[3:]), "ZYX")
+    if form is PoseForm.EULER:
+        return v[:3], _euler(np.radians(v[3:]), order)
+    q = v[3:] if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else v[[6, 3, 4, 5]]
+    return v[:3], rotation_of_quaternion(q, where, normalise)
+
+
+def _euler(angles: Array, order: str) -> Array:
+    turns = [
+        se3.exp_so3(angle * np.eye(3)[_AXES.index(axis.lower())])
+        for angle, axis in zip(angles, order, strict=True)
+    ]
+    first, second, third = turns if order.isupper() else turns[::-1]
+    return np.asarray(first @ second @ third)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

@@ -12,13 +12,18 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from plant_emulator.core.sensors import COUNTS_PER_RADIAN
 from testbed.identification.free_run import smoothed, start_of
-from testbed.identification.keeping import reported
-from testbed.identification.operating import SUPPLY_EDGE, Operating, file_model, operating
+from testbed.identification.operating import (
+    SUPPLY_EDGE,
+    Operating,
+    PressureFit,
+    file_model,
+    operating,
+    pressure_fit,
+)
 from testbed.identification.parameters import Parameter, base_of, parameters_of, start_parameters
-from testbed.identification.pressure_fit import PressureFit, pressure_fit
 from testbed.identification.problem import FitProblem, misfit, signals_of
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import DAMPINGS, Fit, Plan, shoot
+from testbed.identification.shooting import DAMPINGS, Fit, Plan, refined, shoot
 from testbed.identification.static_fit import DeadZone, ForceBalance, balance, dead_zone
 
 WINDOW_S = 0.5
@@ -169,3 +174,66 @@ def _left_over(near: Fit, joints: int) -> Array:
     angles, pressures = near.residuals[:, :joints], near.residuals[:, joints:]
     both = [float(np.clip(np.sqrt(np.median(part**2) / 0.4549), 1 / 3, 3.0)) for part in (angles, pressures)]
     return np.array([both[0]] * joints + [both[1]] * pressures.shape[1])
+
+
+IDENTIFIED_BELOW = 0.5
+"""σ over the prior's spread below which the recording, and not the prior, says what a parameter is."""
+
+
+class FileKept(NamedTuple):
+    """``kept`` parameters at the file's number, ``theta`` (p,) of all, ``covariance`` (p, p) of its error.
+
+    In units of the priors' spreads.
+    """
+
+    kept: tuple[int, ...]
+    theta: Array
+    covariance: Array
+
+
+def keep_untold(theta: Array, posterior: Array, machine: list[int]) -> FileKept:
+    """Put those of ``machine`` that are not told back to 0, one by one, the others conditioned on it.
+
+    ``theta`` (p,) and the covariance ``posterior`` (p, p) of the fit, in units of the priors' spreads.
+    """
+    found, left, kept = theta.copy(), posterior.copy(), list[int]()
+    while True:
+        spread = np.sqrt(np.maximum(np.diag(left), 0.0))
+        open_ = [k for k in machine if k not in kept]
+        worst = max(open_, key=lambda k: spread[k], default=-1)
+        if worst < 0 or spread[worst] < IDENTIFIED_BELOW:
+            break
+        along = left[:, worst] / left[worst, worst]
+        found -= along * found[worst]
+        left -= np.outer(along, left[worst])
+        kept.append(worst)
+        found[kept] = 0.0
+    if not kept:
+        return FileKept((), found, left)
+    slopes = np.linalg.solve(posterior[np.ix_(kept, kept)], posterior[kept]).T  # (p, kept) of the means
+    left[kept] = 0.0
+    left[:, kept] = 0.0
+    return FileKept(tuple(kept), found, left + slopes @ slopes.T)
+
+
+def _inverse(information: Array) -> Array:
+    """The covariance of data of this ``information`` and the priors together, in units of the priors'."""
+    return np.asarray(np.linalg.inv(information + np.eye(len(information))), dtype=np.float64)
+
+
+def reported(problem: FitProblem, fit: Fit) -> Fit:
+    """``fit`` with what the recording does not tell at the file's number, and the honest covariance.
+
+    What is left beyond the noise told at rest widens what the data say, not what the priors do.
+    """
+    s, columns = problem.spreads, fit.jacobian * problem.spreads
+    excess = max(fit.data / (fit.samples - len(s)), 1.0)
+    posterior = _inverse(columns.T @ columns / excess)
+    machine = [k for k, p in enumerate(problem.parameters) if not p.of_start]
+    told = keep_untold(fit.theta / s, posterior, machine)
+    covariance = told.covariance * np.outer(s, s)
+    if not told.kept:
+        return fit._replace(covariance=covariance)
+    plan = Plan(0.0, 1, 0, (0.0, 0.1), 1e-6, frozenset(told.kept))
+    moved = refined(problem, fit, told.theta * s, plan)
+    return moved._replace(covariance=covariance, kept=told.kept, promised=fit.promised)

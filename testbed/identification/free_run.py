@@ -25,8 +25,7 @@ from plant_emulator.core.mechanics.linkage import actuator_lever
 from plant_emulator.core.model import build_model, put_payload
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.right_hand_side import new_work
-from testbed.identification.compiled_run import N_SIGNALS, Restarts, run
-from testbed.identification.drive import drive_of
+from testbed.identification.compiled_run import N_SIGNALS, Restarts, drive_of, run
 from testbed.identification.recording import Array, MotionRecording
 
 _SMOOTHING = 7  # samples of a local cubic

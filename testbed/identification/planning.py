@@ -14,8 +14,7 @@ import numpy as np
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from testbed.identification.checks import Machine
-from testbed.identification.emulated import record
-from testbed.identification.excitation import Piece
+from testbed.identification.excitation import Piece, record
 from testbed.identification.fit import problem_of
 from testbed.identification.parameters import Parameter, parameters_of
 from testbed.identification.problem import FitProblem, jacobian, signals

@@ -1,20 +1,24 @@
-"""Families 16 to 18: what a sudden stop does to the oil, where the energy goes, what the pump cannot give."""
+"""Families 16 to 20: oil and energy, what the pump cannot give, encoders, convergence of the integration."""
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.hydraulics.chambers import bulk_modulus
-from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, SUPPLY
+from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, SUPPLY, Q
 from plant_emulator.core.model import put_payload
-from testbed.validation.case import ValidationCase
+from plant_emulator.core.plant import Plant
+from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
 from testbed.validation.ledger import Ledger
-from testbed.validation.plant_rig import Stand, default_config
+from testbed.validation.plant_rig import NO_ERRORS, Stand, ValidationCase, default_config
 
 Array = NDArray[np.float64]
 
@@ -110,3 +114,93 @@ def pump_saturation(config_dir: Path) -> list[ValidationCase]:
             "at_most",
         ),
     ]
+
+
+LSB = 2.0 * math.pi / COUNTS_PER_TURN
+CYCLE_NS = 5_000_000
+
+
+def encoders(config_dir: Path) -> list[ValidationCase]:
+    """Family 19: quantisation, noise, and the loop of a joint that slews to and fro through its play."""
+    clean = _sweep(Plant(default_config(config_dir), seed=1))
+    rounding = float(np.abs(clean[:, 1] * LSB - clean[:, 0]).max())
+    whole = float(np.abs(clean[:, 1] - np.rint(clean[:, 1])).max())
+    width = 0.3e-3
+    play = {
+        "errors": {
+            **NO_ERRORS["errors"],
+            "backlash": {"enabled": True, "half_width_mrad": [0.3, 0, 0, 0, 0, 0]},
+        }
+    }
+    loose = _sweep(Plant(default_config(config_dir, play), seed=1))
+    lag = loose[:, 1] * LSB - loose[:, 0]
+    noisy_errors = {"errors": {**NO_ERRORS["errors"], "encoder_noise": {"enabled": True, "rms_lsb": 0.3}}}
+    still = Plant(default_config(config_dir, noisy_errors), seed=1)
+    dithered = np.array([still.read().encoder_counts for _ in range(4000)]) - still.truth().q / LSB
+    error = float(dithered.mean(axis=0)[[1, 2]].std())
+    return [
+        ValidationCase(19, "reading is a multiple of the LSB", "LSB", 0.0, whole, 0.0, "17 bit to the turn"),
+        ValidationCase(
+            19, "rounding", "mrad", 0.5 * LSB * 1e3, rounding * 1e3, 1e-9, "half an LSB", "at_most"
+        ),
+        ValidationCase(
+            19,
+            "loop of a play of 2 b",
+            "mrad",
+            2e3 * width,
+            1e3 * float(np.ptp(lag)),
+            1.05e3 * LSB,
+            "2 b + 1 LSB",
+        ),
+        ValidationCase(
+            19, "mean of dithered readings", "LSB", 0.0, error, 0.15, "noise of 0.3 LSB linearises"
+        ),
+    ]
+
+
+def _sweep(plant: Plant) -> Array:
+    """True slew angle (rad) and encoder count, sampled while the joint goes to and fro."""
+    rows = []
+    for k in range(600):
+        opening = 0.2 * math.sin(2.0 * math.pi * k / 300.0)
+        plant.write(ValveImage(k + 1, CONTROL_ENABLE, (opening, 0.0, 0.0, 0.0, 0.0, 0.0)))
+        plant.advance(CYCLE_NS)
+        rows.append((plant.truth().q[0], plant.read().encoder_counts[0]))
+    return np.array(rows)
+
+
+def convergence(config_dir: Path) -> list[ValidationCase]:
+    """Family 20: errors of a smooth motion at three steps, and replay of a seed."""
+    ends = {}
+    for step in (1e-3, 5e-4, 2.5e-4, 3.125e-5):
+        stand = resting_arm(config_dir, [0.0, 30.0, -80.0, 0.0, -20.0, 0.0], 30.0)
+        stand.command[:] = 0.25, 0.3, 0.25, 0.2, 0.2, 0.2
+        stand.run(0.3, 3.125e-5)  # past break-away, where friction is not smooth
+        stand.run(0.4, step)
+        ends[step] = stand.state[Q : Q + 10].copy()
+    errors = [float(np.linalg.norm(ends[step] - ends[3.125e-5])) for step in (1e-3, 5e-4, 2.5e-4)]
+    first, again, other = _words(config_dir, 7), _words(config_dir, 7), _words(config_dir, 8)
+    return [
+        ValidationCase(
+            20, "error ratio of 1 ms to 0.5 ms", "", 16.0, errors[0] / errors[1], 1.0, "fourth order"
+        ),
+        ValidationCase(
+            20, "error ratio of 0.5 ms to 0.25 ms", "", 16.0, errors[1] / errors[2], 1.0, "fourth order"
+        ),
+        ValidationCase(20, "replay of a seed", "differences", 0.0, float(first != again), 0.0, "bit for bit"),
+        ValidationCase(20, "another seed differs", "", 1.0, float(first != other), 0.0, "encoder noise"),
+    ]
+
+
+def _words(config_dir: Path, seed: int) -> bytes:
+    """Every bit that a plant reports in one second of random valve commands."""
+    plant = Plant(load(PlantConfig, config_dir / "plant.yaml"), seed)
+    rng = np.random.default_rng(20)
+    seen = []
+    for k in range(200):
+        command = rng.uniform(-0.5, 0.5, 6)
+        plant.write(ValveImage(k + 1, CONTROL_ENABLE, tuple(float(u) for u in command)))  # type: ignore[arg-type]
+        plant.advance(CYCLE_NS)
+        image, truth = plant.read(), plant.truth()
+        seen += [*image.encoder_counts, *truth.X_WT.ravel(), *truth.pressures.ravel()]
+    return np.array(seen, dtype=float).tobytes()

@@ -11,12 +11,12 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import gravity_torque
 from plant_emulator.core.hydraulics.valves import orifice_flow, spool_acceleration
 from plant_emulator.core.layout import DRIVEN, N_COORDINATES, PRESSURE_A, PRESSURE_B, SPOOL, Q
-from testbed.validation.case import ValidationCase
 from testbed.validation.plant_balances import resting_arm
 from testbed.validation.plant_rig import (
     LIFT,
     STAND,
     Stand,
+    ValidationCase,
     bare_cylinder,
     default_config,
     loaded_lift,

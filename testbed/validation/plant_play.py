@@ -13,8 +13,7 @@ from plant_emulator.core.mechanics import loose
 from plant_emulator.core.mechanics.bodies import Lump
 from plant_emulator.core.mechanics.elastic import outboard_inertia
 from plant_emulator.core.plant import Plant
-from testbed.validation.case import ValidationCase
-from testbed.validation.plant_rig import Stand, default_config
+from testbed.validation.plant_rig import Stand, ValidationCase, default_config
 from testbed.validation.plant_structure import START, switched_on
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
-"""Test stands for the plant's own compiled code: joints clamped, weights hung on, one cylinder laid bare."""
+"""Test stands for the plant's own compiled code, and a case with a known answer as data."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,3 +195,31 @@ def bare_cylinder(config_dir: Path, mass: float = 500.0) -> Stand:
 def rate_of(stand: Stand) -> float:
     """The bare cylinder's velocity (m/s)."""
     return float(stand.state[RATE])
+
+
+Relation = Literal["near", "at_most", "at_least"]
+
+
+class ValidationCase(NamedTuple):
+    """A case with a known answer. ``tolerance`` is absolute, in ``unit``; it widens a bound as well.
+
+    ``source`` says where the expected value comes from.
+    """
+
+    family: int
+    name: str
+    unit: str
+    expected: float
+    obtained: float
+    tolerance: float
+    source: str
+    relation: Relation = "near"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the obtained value is where it should be; NaN never is."""
+        if self.relation == "at_most":
+            return self.obtained <= self.expected + self.tolerance
+        if self.relation == "at_least":
+            return self.obtained >= self.expected - self.tolerance
+        return abs(self.obtained - self.expected) <= self.tolerance

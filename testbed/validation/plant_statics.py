@@ -11,7 +11,6 @@ from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, RA
 from plant_emulator.core.mechanics.bodies import sphere
 from plant_emulator.core.mechanics.linkage import actuator_lever, actuator_position
 from plant_emulator.core.mechanics.multibody import forward_kinematics
-from testbed.validation.case import ValidationCase
 from testbed.validation.plant_rig import (
     ARM_END,
     CHECK_POSE,
@@ -19,6 +18,7 @@ from testbed.validation.plant_rig import (
     LIFT,
     TILT,
     Stand,
+    ValidationCase,
     default_config,
     loaded_lift,
 )

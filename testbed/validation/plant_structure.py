@@ -14,10 +14,9 @@ from plant_emulator.core.mechanics import loose
 from plant_emulator.core.mechanics.bodies import sphere
 from plant_emulator.core.mechanics.elastic import outboard_inertia
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
-from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import MujocoArm, PinocchioArm
 from testbed.validation.plant_dynamics import decrement, period
-from testbed.validation.plant_rig import Stand, default_config
+from testbed.validation.plant_rig import Stand, ValidationCase, default_config
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,8 @@ from plant_emulator.core.hydraulics.chambers import bulk_modulus
 from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, RATE, SPOOL, SUPPLY, Q
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, ValveImage
-from testbed.validation.case import ValidationCase
 from testbed.validation.plant_balances import resting_arm
-from testbed.validation.plant_rig import LIFT, Stand, default_config
+from testbed.validation.plant_rig import LIFT, Stand, ValidationCase, default_config
 
 Array = NDArray[np.float64]
 

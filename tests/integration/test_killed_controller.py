@@ -1,5 +1,5 @@
 """Faults 35 and 36: the controller killed or suspended within a motion, three real processes, judged by the
-plant's recording and registers. `longreach experiment controller-kills --count 100` does it a hundred times.
+plant's recording and registers. `longreach experiment robustness --method controller-kills` does it often.
 """
 
 from typing import Any

@@ -40,10 +40,7 @@ class Method(StrEnum):
     DANIILIDIS = "daniilidis"
     LI = "li"
     SHAH = "shah"
-    DQCR_PUBLISHED = "dqcr-published"
     DQCR = "dqcr"
-    JOINT = "joint-dual-quaternion"
-    CHORDAL = "chordal"
     MAXIMUM_LIKELIHOOD = "maximum-likelihood"
     ROBUST = "robust"
 
@@ -53,4 +50,4 @@ class Method(StrEnum):
         return "AX=ZB" if self in _POSE_METHODS else "AX=XB"
 
 
-_POSE_METHODS = {Method.LI, Method.SHAH, Method.CHORDAL, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}
+_POSE_METHODS = {Method.LI, Method.SHAH, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}

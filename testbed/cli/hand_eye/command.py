@@ -92,35 +92,3 @@ def drawing(
     from testbed.cli.hand_eye.files import run_drawing
 
     run_drawing(file, scenario, config_dir)
-
-
-@app.command("real-data", epilog="Example: longreach hand-eye real-data --json real.json")
-def real_data(json_file: JsonFile = None) -> None:
-    """All methods on MoveIt's and ETH's recordings (LONGREACH_DATA names their directory)."""
-    from testbed.experiments.hand_eye.experiments import run_real_data
-
-    raise typer.Exit(0 if run_real_data(json_file) else 1)
-
-
-@app.command("bad-files", epilog="Example: longreach hand-eye bad-files --seed 3 --json bad.json")
-def bad_files(
-    samples: Annotated[int, typer.Option(min=8, help="Samples of the good file.")] = 15,
-    seed: Annotated[int, typer.Option(help="What draws the good file.")] = 1,
-    json_file: JsonFile = None,
-) -> None:
-    """A good file spoiled in every way that is known, and what `solve` answers to each."""
-    from testbed.experiments.hand_eye.bad_files import run_bad_files
-
-    raise typer.Exit(0 if run_bad_files(samples, seed, json_file) else 1)
-
-
-@app.command("camera-share", epilog="Example: longreach hand-eye camera-share --count 60 --seed 40001")
-def camera_share(
-    count: Annotated[int, typer.Option(min=1, help="Drawn calibrations.")] = 40,
-    seed: Annotated[int, typer.Option(help="Of the first one.")] = 40001,
-    json_file: JsonFile = None,
-) -> None:
-    """Whether X's covariance is honest when the camera matrix came from the same pictures (NEES)."""
-    from testbed.experiments.hand_eye.camera_share import run_camera_share
-
-    raise typer.Exit(0 if run_camera_share(count, seed, json_file) else 1)

@@ -9,12 +9,11 @@ from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource
-from testbed.experiments.hand_eye import intrinsics_experiment
-from testbed.experiments.hand_eye import tables as experiment_tables
-from testbed.experiments.hand_eye.real_data import hold_out
 from testbed.hand_eye import picture_samples, presentation, trajectories
+from testbed.hand_eye.board_views import detect, intrinsics_row, intrinsics_table
 from testbed.hand_eye.importer import ImportOptions, load
-from testbed.hand_eye.robot_poses import read_robot_poses
+from testbed.hand_eye.pose_text import read_robot_poses
+from testbed.hand_eye.presentation import hold_out, hold_out_table
 from testbed.hand_eye.trajectories import PairingOptions
 from testbed.pictures.board_question import question
 from testbed.reporting.console import out, write_json
@@ -112,7 +111,7 @@ def run_compare(source: SampleSource, json_file: Path | None) -> None:
     """Print the hold-out errors of all methods."""
     pairs = _samples(source)
     rows = hold_out(source.file.stem, pairs)
-    out.print(experiment_tables.hold_out_table(rows))
+    out.print(hold_out_table(rows))
     write_json(json_file, {"rows": rows})
 
 
@@ -127,15 +126,15 @@ def run_intrinsics_of_pictures(
             "refused.intrinsics.sizes", f"pictures of {len(sizes)} sizes; one camera has one"
         )
     chosen = _board(board)
-    views, missed = intrinsics_experiment.detect(pictures, chosen, detector)
+    views, missed = detect(pictures, chosen, detector)
     for name in missed:
         out.print(f"no board in {name}", style="yellow", highlight=False)
     question([image for _, image in pictures], chosen, len(views))
     height, width = pictures[0][1].shape
     found = zhang.calibrate(views, width, height)
     name = "charuco" if board.charuco else detector.value
-    row = intrinsics_experiment.row(files[0].parent.name or ".", name, found, missed)
-    out.print(experiment_tables.intrinsics_table([row]))
+    row = intrinsics_row(files[0].parent.name or ".", name, found, missed)
+    out.print(intrinsics_table([row]))
     out.print(presentation.view_table(found))
     out.print(presentation.coverage_table(found))
     K, k = found.K, " ".join(f"{value:.6f}" for value in found.distortion)

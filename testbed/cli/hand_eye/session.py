@@ -34,7 +34,7 @@ def session(
 
 
 def _do(context: typer.Context, url: str, act: Callable[[Any], None]) -> None:
-    from testbed.hand_eye.session_client import with_session
+    from testbed.hand_eye.session_text import with_session
 
     with_session(url, context.find_object(Path), act)
 

@@ -1,4 +1,4 @@
-"""`longreach experiment hand-eye-guided`: guided sessions over many drawn worlds."""
+"""`longreach experiment hand-eye --method guided`: guided sessions over many drawn worlds."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple

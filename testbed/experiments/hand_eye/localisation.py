@@ -110,9 +110,9 @@ def calibration_row(task: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def entries_of(row: dict[str, Any]) -> list[LocalisedTarget]:
+def entries_of(kept: list[Any]) -> list[LocalisedTarget]:
     """What ``calibration_row`` has kept."""
-    return [LocalisedTarget(*kept) for kept in row["entries"]]
+    return [LocalisedTarget(*entry) for entry in kept]
 
 
 def _calibration(run: int, repetitions: int, seed: int, rig: LocalisationRig) -> list[LocalisedTarget]:

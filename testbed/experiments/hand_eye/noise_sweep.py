@@ -18,20 +18,15 @@ from testbed.experiments.hand_eye.scenes import HandEyeScene
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.noise import NoiseSource
-from vision_pc.core.hand_eye.solvers.robust import RobustSettings
 from vision_pc.core.se3 import Array
 
 ROTATION_DEG, TRANSLATION_MM = 0.01, 0.02
-CAMERA_ONLY = "robust (camera noise assumed)"
 MOTION_METHODS = (
     Method.TSAI,
     Method.PARK,
     Method.HORAUD,
     Method.DANIILIDIS,
-    Method.DQCR_PUBLISHED,
     Method.DQCR,
-    Method.JOINT,
     Method.MAXIMUM_LIKELIHOOD,
 )
 
@@ -75,13 +70,6 @@ class SweepRow(NamedTuple):
         return self.translation_mm / self.bound_translation_mm
 
 
-class NoiseSweep(NamedTuple):
-    """All rows, and the largest difference between DQCR as published and in closed form over all runs."""
-
-    rows: tuple[SweepRow, ...]
-    dqcr_largest_difference: float
-
-
 @dataclass
 class _SweepCounts:
     """Errors (6,) of one method over the runs of a level, and what else was told of them."""
@@ -119,71 +107,53 @@ def noise_sweep(
     levels: Iterable[int] = range(1, 11),
     seed: int = 1,
     only: Iterable[Method] | None = None,
-    scene: HandEyeScene | None = None,
-) -> NoiseSweep:
+) -> list[SweepRow]:
     """Errors of every method, or ``only`` some, at each level over ``runs`` seeded runs."""
-    scene = scene or scenes.table_1_scene()
+    scene = scenes.table_1_scene()
     chosen = tuple(only) if only is not None else tuple(Method)
     rows: list[SweepRow] = []
-    difference = 0.0
     for level in levels:
         n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
         bound = scenes.bound(scene, n, noise_on is NoiseOn.CAMERA_MOTIONS)
-        tallies: dict[str, _SweepCounts] = {}
+        counts: dict[Method, _SweepCounts] = {}
         for run in range(runs):
-            found = _run(scene, n, noise_on, np.random.default_rng([seed, level, run]), chosen, tallies)
-            if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
-                gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
-                difference = max(difference, float(gap))
-        rows += [tally.row(noise_on, level, name, bound) for name, tally in tallies.items()]
-    return NoiseSweep(tuple(rows), difference)
+            rng = np.random.default_rng([seed, level, run])
+            if noise_on is NoiseOn.CAMERA_MOTIONS:
+                _run_on_motions(scene, n, rng, chosen, counts)
+            else:
+                _run(scene, n, rng, chosen, counts)
+        rows += [count.row(noise_on, level, method.value, bound) for method, count in counts.items()]
+    return rows
 
 
 def level_of(task: dict[str, Any]) -> dict[str, Any]:
-    """One level as the run of a campaign: the columns of its sweep."""
-    return noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"])._asdict()
-
-
-def gathered(levels: Iterable[dict[str, Any]]) -> NoiseSweep:
-    """The sweep whose levels a campaign has made."""
-    levels = tuple(levels)
-    rows = tuple(SweepRow(**row) for level in levels for row in level["rows"])
-    return NoiseSweep(rows, max(level["dqcr_largest_difference"] for level in levels))
+    """One level as the run of a campaign."""
+    return {"rows": noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"])}
 
 
 def _run(
     scene: HandEyeScene,
     n: Any,
-    noise_on: NoiseOn,
     rng: np.random.Generator,
     chosen: tuple[Method, ...],
-    tallies: dict[str, _SweepCounts],
-) -> dict[Method, Array]:
-    """All methods on one noisy data set, entered into ``tallies``; X by method."""
-    if noise_on is NoiseOn.CAMERA_MOTIONS:
-        return _run_on_motions(scene, n, rng, chosen, tallies)
-    found: dict[Method, Array] = {}
+    counts: dict[Method, _SweepCounts],
+) -> None:
+    """Enter all methods on one noisy data set into ``counts``."""
     pairs = scenes.measured(scene, n, rng)
-    variants = [(m.value, m, RobustSettings()) for m in chosen]
-    if noise_on is NoiseOn.ROBOT_POSES and Method.ROBUST in chosen:
-        variants.append((CAMERA_ONLY, Method.ROBUST, RobustSettings(source=NoiseSource.CAMERA)))
-    for name, method, settings in variants:
-        tally = tallies.setdefault(name, _SweepCounts())
+    for method in chosen:
+        count = counts.setdefault(method, _SweepCounts())
         try:
-            result = methods.solve(pairs, method, settings)
+            result = methods.solve(pairs, method)
         except MeasurementFailed:
-            tally.failed += 1
+            count.failed += 1
             continue
-        if name == method.value:
-            found[method] = result.X
         error = se3.local(result.X, scene.X)
-        tally.errors.append(error)
+        count.errors.append(error)
         if result.certificate is not None:
-            tally.eigenvalues.append(result.certificate.least_eigenvalue)
+            count.eigenvalues.append(result.certificate.least_eigenvalue)
         if result.covariance is not None:
-            tally.nees.append(float(error @ np.linalg.solve(result.covariance, error)))
-            tally.dropped += int((~result.inliers).sum())
-    return found
+            count.nees.append(float(error @ np.linalg.solve(result.covariance, error)))
+            count.dropped += int((~result.inliers).sum())
 
 
 def _run_on_motions(
@@ -191,17 +161,15 @@ def _run_on_motions(
     n: Any,
     rng: np.random.Generator,
     chosen: tuple[Method, ...],
-    tallies: dict[str, _SweepCounts],
-) -> dict[Method, Array]:
+    counts: dict[Method, _SweepCounts],
+) -> None:
     """The same of the methods that take motions, on noisy ones."""
-    found: dict[Method, Array] = {}
     motions = scenes.measured_motions(scene, n, rng)
     for method in MOTION_METHODS:
         if method in chosen:
-            tally = tallies.setdefault(method.value, _SweepCounts())
+            count = counts.setdefault(method, _SweepCounts())
             try:
-                found[method] = methods.solve_motions(motions, method)
-                tally.errors.append(se3.local(found[method], scene.X))
+                X = methods.solve_motions(motions, method)
+                count.errors.append(se3.local(X, scene.X))
             except MeasurementFailed:
-                tally.failed += 1
-    return found
+                count.failed += 1

@@ -1,113 +1,26 @@
-"""Where hand-eye calibrations break: bad samples among the good, and booms that hardly turn."""
+"""`longreach experiment hand-eye --method stress`: bad samples among the good, booms that hardly turn."""
 
-import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.table import Table
 
-from protocol.errors import LongreachError, MeasurementFailed
+from protocol.errors import MeasurementFailed
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, NoSettings, at_most
 from testbed.experiments.hand_eye import scenes
+from testbed.experiments.hand_eye.hua import demand_all
 from testbed.experiments.hand_eye.scenes import HandEyeScene
+from testbed.reporting.console import Columns, listed
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
 
-_FLAGS = ("selects", "certifies")
-# DQCR in closed form stands for DQCR as published, which takes fifty times as long for the same (hua-fig7).
-METHODS = tuple(method for method in Method if method is not Method.DQCR_PUBLISHED)
-
-
-class StressRow(NamedTuple):
-    """One method over all runs: median, root-mean-square and 95 % quantile of the error of X.
-
-    ``refused`` runs raised an error; ``improper`` gave NaN or a left-handed rotation (must be 0); ``found``
-    is the share of bad samples that were flagged, ``wrongly_dropped`` of good ones; ``uncertified`` runs
-    had no proof.
-    """
-
-    scenario: str
-    method: str
-    runs: int
-    rotation_median_deg: float
-    rotation_rms_deg: float
-    rotation_95_deg: float
-    translation_median_mm: float
-    translation_rms_mm: float
-    translation_95_mm: float
-    bound_rotation_deg: float
-    bound_translation_mm: float
-    refused: int
-    improper: int
-    found: float | None = None
-    wrongly_dropped: float | None = None
-    uncertified: int | None = None
-
-
-@dataclass
-class _StressCounts:
-    """One method over some runs; ``errors`` (6,) each."""
-
-    errors: list[Any] = field(default_factory=list)
-    refused: int = 0
-    improper: int = 0
-    uncertified: int = 0
-    flagged_bad: int = 0
-    flagged_good: int = 0
-    selects: bool = False
-    certifies: bool = False
-
-    def add(self, other: "_StressCounts") -> None:
-        """The other's runs too."""
-        for name, value in vars(other).items():
-            mine = getattr(self, name)
-            setattr(self, name, (mine or value) if name in _FLAGS else mine + value)
-
-    def enter(self, result: HandEyeResult, truth: Array, bad: set[str]) -> None:
-        R = result.X[:3, :3]
-        if (
-            not np.isfinite(result.X).all()
-            or np.linalg.det(R) < 0.999
-            or np.abs(R.T @ R - np.eye(3)).max() > 1e-9
-        ):
-            self.improper += 1
-            return
-        self.errors.append(se3.local(result.X, truth))
-        if result.method == Method.ROBUST:
-            self.selects = True
-            dropped = {name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier}
-            self.flagged_bad += len(dropped & bad)
-            self.flagged_good += len(dropped - bad)
-        if result.certificate is not None:
-            self.certifies = True
-            self.uncertified += not result.certificate.holds
-
-    def row(self, scenario: str, method: str, bound: scenes.Bound, bad: int, good: int) -> StressRow:
-        E = np.array(self.errors).reshape(-1, 2, 3)
-        sizes = np.linalg.norm(E, axis=-1) if len(E) else np.full((1, 2), math.nan)
-        shift, turn = 1e3 * sizes[:, 0], np.degrees(sizes[:, 1])
-        runs = len(self.errors)
-        return StressRow(
-            scenario,
-            method,
-            runs + self.refused + self.improper,
-            float(np.median(turn)),
-            float(np.sqrt(np.mean(turn**2))),
-            float(np.quantile(turn, 0.95)),
-            float(np.median(shift)),
-            float(np.sqrt(np.mean(shift**2))),
-            float(np.quantile(shift, 0.95)),
-            bound.rotation_deg,
-            bound.translation_mm,
-            self.refused,
-            self.improper,
-            self.flagged_bad / (bad * runs) if self.selects and bad else None,
-            self.flagged_good / (good * runs) if self.selects and runs else None,
-            self.uncertified if self.certifies else None,
-        )
+_ENOUGH = 100  # runs: with fewer, chance decides
+_BLOCK = 25  # runs of a row
 
 
 class StressTrial(NamedTuple):
@@ -132,73 +45,189 @@ SMALL_ROTATIONS = StressTrial("rotations under 5 deg", 20, 0, 0.05, 0.5, 5.0)
 TRIALS = {trial.name: trial for trial in (BAD_SAMPLES, SMALL_ROTATIONS)}
 
 
-class Block(NamedTuple):
-    """Some runs of a trial: tallies by method, and the Cramér-Rao bound of each run (deg, mm)."""
+class SolverAttempt(NamedTuple):
+    """One method in one run: its error (6,) of X, None where it refused or gave no proper pose.
 
-    tallies: dict[str, _StressCounts]
-    bounds: list[Any]
+    ``improper``: NaN or a left-handed rotation; ``bad_found``, ``good_lost``: samples that were left out;
+    ``proven``: None where the method has no proof.
+    """
 
-
-def outliers(runs: int = 200, seed: int = 1, only: Iterable[Method] | None = None) -> tuple[StressRow, ...]:
-    """Every method with 2 of 15 samples grossly wrong; the bound is that of the good samples alone."""
-    return _rows(BAD_SAMPLES, [_block(BAD_SAMPLES, range(runs), seed, _chosen(only))])
-
-
-def small_rotations(
-    runs: int = 200, seed: int = 1, only: Iterable[Method] | None = None
-) -> tuple[StressRow, ...]:
-    """Every method where no two poses differ by more than 5°, target 1 m before the camera."""
-    return _rows(SMALL_ROTATIONS, [_block(SMALL_ROTATIONS, range(runs), seed, _chosen(only))])
+    method: str
+    error: list[float] | None = None
+    improper: bool = False
+    bad_found: int = 0
+    good_lost: int = 0
+    proven: bool | None = None
 
 
-def block_row(task: dict[str, Any]) -> dict[str, Any]:
+class StressBlock(NamedTuple):
+    """A campaign's row: the attempts of some runs of a trial, and each run's Cramér-Rao bound (deg, mm)."""
+
+    trial: str
+    attempts: list[Any] | None
+    bounds: list[Any] | None
+    failure: str
+    cpu_s: float
+
+
+class StressRow(NamedTuple):
+    """One method over all runs of a trial."""
+
+    method: str
+    runs: int
+    rotation_median_deg: float
+    rotation_rms_deg: float
+    translation_median_mm: float
+    translation_rms_mm: float
+    translation_95_mm: float
+    bound_translation_mm: float
+    refused: int
+    improper: int
+    found: float
+    wrongly_dropped: float
+    unproven: int
+
+
+Stressed = Finished[NoSettings, StressBlock]
+
+
+def stress_tasks(request: CampaignRequest, settings: NoSettings) -> list[Task]:
+    """One task for each block of runs of either trial."""
+    return [
+        {"key": f"{name}-{request.seed}-{first}-{min(_BLOCK, request.runs - first)}", "trial": name,
+         "seed": request.seed, "first": first, "count": min(_BLOCK, request.runs - first)}
+        for name in TRIALS
+        for first in range(0, request.runs, _BLOCK)
+    ]  # fmt: skip
+
+
+def block_row(task: Task) -> dict[str, Any]:
     """A campaign's row: ``count`` runs of the trial ``trial`` from ``first`` on."""
     runs = range(int(task["first"]), int(task["first"]) + int(task["count"]))
-    block = _block(TRIALS[task["trial"]], runs, int(task["seed"]), METHODS)
-    tallies = {name: vars(tally) for name, tally in block.tallies.items()}
-    return {"trial": task["trial"], "tallies": tallies, "bounds": block.bounds}
+    attempts, bounds = attempted(TRIALS[task["trial"]], runs, int(task["seed"]))
+    return {"trial": task["trial"], "attempts": [list(each) for each in attempts], "bounds": bounds}
 
 
-def rows_of(trial: StressTrial, rows: Iterable[dict[str, Any]]) -> tuple[StressRow, ...]:
-    """What the rows of ``block_row`` for ``trial`` amount to."""
-    blocks = [
-        Block({name: _StressCounts(**kept) for name, kept in row["tallies"].items()}, row["bounds"])
-        for row in rows
-        if row["trial"] == trial.name
-    ]
-    return _rows(trial, blocks)
-
-
-def _chosen(only: Iterable[Method] | None) -> tuple[Method, ...]:
-    return tuple(only) if only is not None else METHODS
-
-
-def _block(trial: StressTrial, runs: range, seed: int, chosen: tuple[Method, ...]) -> Block:
+def attempted(
+    trial: StressTrial, runs: Iterable[int], seed: int, only: Sequence[Method] = tuple(Method)
+) -> tuple[list[SolverAttempt], list[list[float]]]:
+    """Every method, or ``only`` some, in each of the runs, and the bound of the good samples in each."""
     n = scenes.noise(trial.rotation_deg, trial.translation_mm)
-    tallies = {method.value: _StressCounts() for method in chosen}
-    bounds = []
+    attempts, bounds = [], []
     for run in runs:
         rng = np.random.default_rng([seed, run])
         scene = trial.scene(rng)
         pairs, spoiled = scenes.measured_with_bad(scene, n, rng, trial.bad)
         good = np.array([k for k in range(trial.samples) if str(k + 1) not in spoiled])
-        bounds.append(tuple(scenes.bound(scene._replace(X_BT=scene.X_BT[good]), n)))
-        for method in chosen:
+        bounds.append(list(scenes.bound(scene._replace(X_BT=scene.X_BT[good]), n)))
+        for method in only:
             try:
-                tallies[method.value].enter(methods.solve(pairs, method), scene.X, spoiled)
+                attempts.append(_attempt(methods.solve(pairs, method), scene.X, spoiled))
             except MeasurementFailed:
-                tallies[method.value].refused += 1
-    return Block(tallies, bounds)
+                attempts.append(SolverAttempt(method.value))
+    return attempts, bounds
 
 
-def _rows(trial: StressTrial, blocks: list[Block]) -> tuple[StressRow, ...]:
-    bounds = [bound for block in blocks for bound in block.bounds]
-    if not bounds:
-        raise LongreachError("refused.runs", "at least one run is needed")
-    bound = scenes.Bound(*(float(v) for v in np.sqrt(np.mean(np.square(np.array(bounds)), axis=0))))
-    tallies: dict[str, _StressCounts] = {}
-    for block in blocks:
-        for name, tally in block.tallies.items():
-            tallies.setdefault(name, _StressCounts()).add(tally)
-    good = trial.samples - trial.bad
-    return tuple(tally.row(trial.name, name, bound, trial.bad, good) for name, tally in tallies.items())
+def _attempt(result: HandEyeResult, truth: Array, bad: set[str]) -> SolverAttempt:
+    R = result.X[:3, :3]
+    orthonormal = np.isfinite(result.X).all() and np.abs(R.T @ R - np.eye(3)).max() <= 1e-9
+    if not orthonormal or np.linalg.det(R) < 0.999:
+        return SolverAttempt(result.method, improper=True)
+    dropped = {name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier}
+    proven = None if result.certificate is None else result.certificate.holds
+    error = se3.local(result.X, truth).tolist()
+    return SolverAttempt(result.method, error, False, len(dropped & bad), len(dropped - bad), proven)
+
+
+def rows_of(trial: StressTrial, attempts: Sequence[SolverAttempt], bounds: Sequence[Any]) -> list[StressRow]:
+    """A row for each method."""
+    bound_mm = float(np.sqrt(np.mean(np.square(np.array(bounds)[:, 1]))))
+    rows = []
+    for method in dict.fromkeys(attempt.method for attempt in attempts):
+        mine = [attempt for attempt in attempts if attempt.method == method]
+        ended = [attempt for attempt in mine if attempt.error is not None]
+        errors = np.array([attempt.error for attempt in ended]).reshape(-1, 2, 3)
+        sizes = np.linalg.norm(errors, axis=-1) if len(errors) else np.full((1, 2), np.nan)
+        shift, turn = 1e3 * sizes[:, 0], np.degrees(sizes[:, 1])
+        improper, runs = sum(attempt.improper for attempt in mine), max(len(ended), 1)
+        rows.append(
+            StressRow(
+                method,
+                len(mine),
+                float(np.median(turn)),
+                float(np.sqrt(np.mean(turn**2))),
+                float(np.median(shift)),
+                float(np.sqrt(np.mean(shift**2))),
+                float(np.quantile(shift, 0.95)),
+                bound_mm,
+                len(mine) - len(ended) - improper,
+                improper,
+                sum(attempt.bad_found for attempt in ended) / max(trial.bad * runs, 1),
+                sum(attempt.good_lost for attempt in ended) / ((trial.samples - trial.bad) * runs),
+                sum(attempt.proven is False for attempt in ended),
+            )
+        )
+    return rows
+
+
+def _by_trial(done: Stressed) -> dict[str, list[StressRow]]:
+    demand_all(done.rows)
+    made = {}
+    for name, trial in TRIALS.items():
+        blocks = [row for row in done.rows if row.trial == name]
+        attempts = [SolverAttempt(*each) for block in blocks for each in block.attempts or ()]
+        made[name] = rows_of(trial, attempts, [bound for block in blocks for bound in block.bounds or ()])
+    return made
+
+
+def stress_tables(done: Stressed) -> list[Table]:
+    """Every method, a table a trial."""
+    columns: Columns = {
+        "method": "{method}",
+        "median deg": "{rotation_median_deg:.4f}",
+        "rms deg": "{rotation_rms_deg:.4f}",
+        "median mm": "{translation_median_mm:.2f}",
+        "rms mm": "{translation_rms_mm:.2f}",
+        "95 % mm": "{translation_95_mm:.2f}",
+        "bound mm": "{bound_translation_mm:.2f}",
+        "refused": "{refused}",
+        "improper": "{improper}",
+        "bad found": "{found:.1%}",
+        "good lost": "{wrongly_dropped:.1%}",
+        "unproven": "{unproven}",
+    }
+    return [listed(f"{name}, {rows[0].runs} runs", columns, rows) for name, rows in _by_trial(done).items()]
+
+
+def stress_verdict(done: Stressed) -> list[Check]:
+    """Bad samples and small rotations leave the robust solver usable, and no method improper."""
+    made = _by_trial(done)
+    bad, small = (
+        next(row for row in made[trial.name] if row.method == Method.ROBUST.value)
+        for trial in (BAD_SAMPLES, SMALL_ROTATIONS)
+    )
+    improper = sum(row.improper for rows in made.values() for row in rows)
+    limit_mm = 7.0 if done.request.runs >= _ENOUGH else None
+    return [
+        at_most(f"NaN or left-handed, by any method in 2 × {done.request.runs} runs", improper, 0),
+        at_most("bad samples: median", bad.rotation_median_deg, 0.1, "°"),
+        at_most("bad samples: median", bad.translation_median_mm, 3.0, "mm"),
+        at_most("small rotations: rms", small.translation_rms_mm, limit_mm, "mm"),
+    ]
+
+
+STRESS = Experiment(
+    name="hand-eye-stress",
+    title="Two bad samples of fifteen, and rotations under 5°, with every method.",
+    settings=NoSettings,
+    row=StressBlock,
+    tasks=stress_tasks,
+    run=block_row,
+    table=stress_tables,
+    verdict=stress_verdict,
+    figures=lambda done: {"trials": _by_trial(done)},
+    runs=200,
+    world="drawn scenes",
+    eyes="none: poses with noise",
+    configured=False,
+)

@@ -1,5 +1,5 @@
-"""`longreach experiment marker-limits`: how small, oblique, blurred and noisy square markers may be, and what
-that costs, beside OpenCV's and AprilTag's readers on the same rendered pictures.
+"""`longreach experiment eyes-measure --method markers`: how small, oblique, blurred and noisy
+square markers may be, and what that costs, beside OpenCV's and AprilTag's readers on the same pictures.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""`longreach experiment odometry-matrix`: odometry of recordings on rendered sequences of every kind, beside
+"""`longreach experiment odometry`: odometry of recordings on rendered sequences of every kind, beside
 ORB-SLAM3 on the same pictures.
 
 What is asked of every pair is the same: right within what was told, or lost by name.
@@ -191,8 +191,8 @@ def _words(config_dir: Path) -> Path:
     return path
 
 
-ODOMETRY_MATRIX = Experiment(
-    name="odometry-matrix",
+ODOMETRY = Experiment(
+    name="odometry",
     title="Odometry of recordings on rendered sequences of every kind, beside ORB-SLAM3.",
     settings=MatrixSettings,
     row=MatrixRow,

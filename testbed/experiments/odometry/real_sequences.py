@@ -1,6 +1,6 @@
 """Real pictures for the matrix: a stereo camera at rest before a person who turns a board about.
 
-OpenCV's 13 pairs of a checkerboard, read where `hand-eye real-data` reads them. The camera does not move, so
+OpenCV's 13 pairs of a checkerboard, read where the hand-eye experiment has them. The camera does not move, so
 the truth is known: what moves covers a third of every picture, and from pair to pair it is elsewhere. Its
 calibration is found from the same boards, as `longreach camera calibrate` does.
 """
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.experiments.hand_eye.real_data import OPENCV_BOARD, checkerboard_pictures
+from testbed.experiments.hand_eye.real_sets import OPENCV_BOARD, checkerboard_pictures
 from testbed.experiments.odometry.sequences import RATE_HZ, Sequence
 from vision_pc.config.choices import Detector, LensModel
 from vision_pc.config.vision import RectifiedPairSettings

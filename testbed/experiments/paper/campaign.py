@@ -1,10 +1,10 @@
 """The paper's tables and figures over many seeded runs: measured, compared, drawn, reported.
 
 All of them share one directory of rows. A table or a figure asks for the measurements it is made of, ``line``
-or ``match``, and those that are there are not measured again: what `table4` measured serves `table3`, `fig9`.
+or ``match``, and those that are there are not measured again.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -18,18 +18,17 @@ from foundation.configuration import merged, parse_overrides
 from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
-from testbed.campaigns.row_file import Row
-from testbed.experiments.catalogue import PAPER as ALL_PARTS
-from testbed.experiments.catalogue import PAPER_PARTS
-from testbed.experiments.paper import comparison, figures, published
-from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared
+from testbed.campaigns.rows import Row
+from testbed.experiments.paper import comparison, figures
+from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared, Conclusion
 from testbed.experiments.paper.measurement import measure, trace
-from testbed.experiments.paper.report import write_comparison
 from testbed.reporting.console import out, table
+from testbed.reporting.pages import rendered
+from testbed.reporting.plots import svg
+from testbed.reporting.run_record import KeptRun, beginning
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings
 
-OUT = Path("runs/paper")
 Measured = dict[str, list[Row]]
 
 
@@ -41,9 +40,20 @@ class PaperEyes(StrEnum):
     MODEL = "model"
 
 
-class PaperSettings(NamedTuple):
-    """The world that is measured in, and what measures."""
+EYES = {
+    PaperEyes.OPENCV: "rendered pictures, markers by OpenCV from the left lens as in the paper",
+    PaperEyes.PIXELS: "rendered pictures, markers by Longreach's own stereo edges",
+    PaperEyes.MODEL: "no pictures: an eye model whose noise and failures were measured from pictures",
+}
+PaperPart = StrEnum("PaperPart", {name: name for name in (*TABLES, *figures.KINDS)})  # type: ignore[misc]
 
+
+class PaperSettings(NamedTuple):
+    """What of the paper, the world that is measured in, and what measures."""
+
+    part: Annotated[
+        list[PaperPart] | None, typer.Option(help="Only this table or figure; repeatable. Usually all.")
+    ] = None
     eyes: Annotated[
         PaperEyes,
         typer.Option(
@@ -54,36 +64,33 @@ class PaperSettings(NamedTuple):
     scenario: Scenario = "paper"
     assignments: Assignments = None
 
+    @property
+    def tables(self) -> list[str]:
+        """The tables that are wanted."""
+        return [name for name in TABLES if not self.part or name in self.part]
+
+    @property
+    def figures(self) -> list[str]:
+        """The figures that are wanted."""
+        return [name for name in figures.KINDS if not self.part or name in self.part]
+
 
 Paper = Finished[PaperSettings, Row]
 
 
-def paper_task(
-    config_dir: Path,
-    settings: PaperSettings,
-    kind: str,
-    seed: int,
-    variant: str = "",
-    assignments: Sequence[str] = (),
-) -> Task:
+def paper_task(config_dir: Path, settings: PaperSettings, kind: str, seed: int) -> Task:
     """The task of one measurement. Raises ConfigurationError when its configuration is wrong."""
-    chosen = [*(settings.assignments or []), *assignments]
+    chosen = settings.assignments or []
     drawn = load_scenario(config_dir, settings.scenario).world(seed)
     load_settings(config_dir, merged(drawn, parse_overrides(chosen)))
     return {
-        "key": "-".join(filter(None, (kind, settings.eyes, variant, str(seed)))),
+        "key": f"{kind}-{settings.eyes}-{seed}",
         "kind": kind,
         "scenario": settings.scenario,
         "seed": seed,
         "eyes": str(settings.eyes),
-        "variant": variant,
         "assignments": chosen,
     }
-
-
-def kinds_of(names: Sequence[str]) -> list[str]:
-    """The kinds of measurement that tables and figures are made of."""
-    return list(dict.fromkeys(TABLES[name].kind if name in TABLES else figures.KINDS[name] for name in names))
 
 
 def by_kind(done: Finished[Any, Row]) -> Measured:
@@ -94,66 +101,83 @@ def by_kind(done: Finished[Any, Row]) -> Measured:
     return rows
 
 
-def paper_tasks(names: Sequence[str], request: CampaignRequest, settings: PaperSettings) -> list[Task]:
+def paper_tasks(request: CampaignRequest, settings: PaperSettings) -> list[Task]:
     """One task for each kind of measurement and seed."""
+    kinds = [TABLES[name].kind for name in settings.tables] + [figures.KINDS[f] for f in settings.figures]
     return [
         paper_task(request.config_dir, settings, kind, seed)
-        for kind in kinds_of(names)
+        for kind in dict.fromkeys(kinds)
         for seed in seeds(request)
     ]
 
 
-def paper_tables(names: Sequence[str], done: Paper) -> list[rich.Table]:
-    """The paper's figures and ours, side by side, and what the runs took."""
+def _compared(done: Paper) -> dict[str, list[Compared]]:
     rows = by_kind(done)
+    return {name: comparison.compared(name, rows[TABLES[name].kind]) for name in done.settings.tables}
+
+
+def _concluded(done: Paper) -> dict[str, list[Conclusion]]:
+    rows = by_kind(done)
+    return {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in done.settings.tables}
+
+
+def paper_tables(done: Paper) -> list[rich.Table]:
+    """The paper's figures and ours, side by side, and what the runs took."""
     columns = ("", "", "paper", "5 %", "median", "95 %", "ours", "σ", "5 %", "95 %", "runs", "ratio", "means")
     tables = [
-        table(
-            TABLES[name].title, columns, comparison_cells(comparison.compared(name, rows[TABLES[name].kind]))
-        )
-        for name in names
-        if name in TABLES
+        table(TABLES[name].title, columns, comparison_cells(beside))
+        for name, beside in _compared(done).items()
     ]
-    cost = [[line] for line in costs(rows)]
-    return [*tables, table("what it took", ("",), cost)]
+    return [*tables, table("what it took", ("",), [[line] for line in costs(by_kind(done))])]
 
 
-def paper_verdict(names: Sequence[str], done: Paper) -> list[Check]:
+def paper_verdict(done: Paper) -> list[Check]:
     """Means within a factor of the paper's, and the paper's conclusions."""
-    rows, checks = by_kind(done), []
-    for name in filter(TABLES.__contains__, names):
-        for c in comparison.compared(name, rows[TABLES[name].kind]):
+    rows, concluded, checks = by_kind(done), _concluded(done), []
+    for name, beside in _compared(done).items():
+        for c in beside:
             if c.wanted:
                 what = f"{c.table.partition(':')[0]}, {c.part}, {c.name}: mean over the paper's"
                 checks.append(Check(what, f"{c.ratio:.2f}", f"{1.0 / FACTOR:g} to {FACTOR:g}", c.reached))
-        concluded = comparison.conclusions(name, rows[TABLES[name].kind])
-        checks += [Check(each.statement, each.here, "the same", each.holds) for each in concluded]
+        checks += [Check(each.statement, each.here, "the same", each.holds) for each in concluded[name]]
     return checks or [Check("measurements", f"{sum(map(len, rows.values()))}", "some", all(rows.values()))]
 
 
-def paper_plot(names: Sequence[str], done: Paper) -> Mapping[str, Figure]:
+def paper_plot(done: Paper) -> Mapping[str, Figure]:
     """The paper's figures with ours; they and the tables are in one HTML file too."""
     rows = by_kind(done)
-    drawn = {name: _drawn(name, done, rows[figures.KINDS[name]]) for name in names if name in figures.KINDS}
-    tables = [name for name in names if name in TABLES]
-    beside = {name: comparison.compared(name, rows[TABLES[name].kind]) for name in tables}
-    concluded = {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in tables}
+    drawn = {name: _drawn(name, done, rows[figures.KINDS[name]]) for name in done.settings.figures}
     for name in drawn:
-        out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
-    report = write_comparison(done.request, done.settings, (beside, concluded), drawn, rows)
+        out.print(f"{name}: {figures.FIGURES[name]}", highlight=False)
+    report = write_comparison(done, drawn)
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
     return drawn
 
 
-def paper_figures(names: Sequence[str], done: Paper) -> dict[str, Any]:
-    """Comparisons and conclusions."""
-    rows = by_kind(done)
-    tables = [name for name in names if name in TABLES]
-    return {
-        "compared": {name: comparison.compared(name, rows[TABLES[name].kind]) for name in tables},
-        "conclusions": {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in tables},
-        "rows": rows,
-    }
+def write_comparison(done: Paper, drawn: Mapping[str, Figure]) -> Path:
+    """The HTML file in the request's ``out``: tables side by side, conclusions, figures, and every run."""
+    concluded, beside = _concluded(done), _compared(done)
+    html = rendered(
+        "comparison.html.j2",
+        request=done.request,
+        settings=done.settings,
+        eyes=EYES[done.settings.eyes],
+        tables=[(TABLES[name].title, beside[name], concluded[name]) for name in beside],
+        figures=[(name, figures.FIGURES[name], svg(figure, name)) for name, figure in drawn.items()],
+        kinds=[(kind, _columns(rows), rows) for kind, rows in by_kind(done).items()],
+        run=KeptRun(done.request.out, beginning()),
+    )
+    path: Path = done.request.out / f"{'-'.join([*beside, *drawn])}.html"
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+def _columns(rows: Sequence[Row]) -> list[str]:
+    """What is told of every run: its seed, its errors after each input, and what stopped it."""
+    wanted = ["seed", "configuration", "payload_kg", "mount_deg", "rotation_error_deg"]
+    wanted += [f"{stage}_{axis}_mm" for stage in ("input1", "input2") for axis in "xyz"]
+    wanted += ["run_s", "failure"]
+    return [column for column in wanted if any(row.get(column) is not None for row in rows)]
 
 
 def _drawn(name: str, done: Paper, rows: list[Row]) -> Figure:
@@ -202,28 +226,21 @@ def costs(rows: Measured) -> list[str]:
     return told
 
 
-def _experiment(name: str, title: str, names: Sequence[str]) -> Experiment[PaperSettings, Row]:
-    def of(function: Callable[..., Any]) -> Callable[..., Any]:
-        return partial(function, names)
-
-    return Experiment(
-        name=name,
-        title=title,
-        settings=PaperSettings,
-        row=dict,
-        tasks=of(paper_tasks),
-        run=measure,
-        table=of(paper_tables),
-        verdict=of(paper_verdict),
-        plot=of(paper_plot),
-        page=False,
-        figures=of(paper_figures),
-        runs=20,
-        out=OUT,
-    )
-
-
-PAPER = _experiment("paper", ALL_PARTS, tuple(PAPER_PARTS))
-TABLE2, TABLE3, TABLE4, FIG5, FIG6, FIG7, FIG8, FIG9 = (
-    _experiment(name, title, (name,)) for name, title in PAPER_PARTS.items()
+PAPER = Experiment(
+    name="paper",
+    title="Tables and figures of Mäkinen et al. 2023.",
+    settings=PaperSettings,
+    row=dict,
+    tasks=paper_tasks,
+    run=measure,
+    table=paper_tables,
+    verdict=paper_verdict,
+    plot=paper_plot,
+    page=False,
+    figures=lambda done: {
+        "compared": _compared(done),
+        "conclusions": _concluded(done),
+        "rows": by_kind(done),
+    },
+    runs=20,
 )

@@ -1,8 +1,7 @@
 """One measurement of the paper's, in lockstep: orientation adjustment, then one of both range adjustments.
 
-A task is flat: ``key``, ``kind`` (``line``, ``match``, or ``turn``: the adjustment alone), ``scenario``,
-``seed``, ``eyes``, ``variant`` and ``assignments``. Each measurement begins anew, at the start pose of a
-world drawn from the seed, as the paper's did.
+A task is flat: ``key``, ``kind`` (``line`` or ``match``), ``scenario``, ``seed``, ``eyes``, ``assignments``.
+Each measurement begins anew, at the start pose of a world drawn from the seed, as the paper's did.
 """
 
 import math
@@ -17,7 +16,7 @@ from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import LongreachError, MeasurementFailed
 from protocol.faults import CommandCode
-from testbed.campaigns.row_file import Row
+from testbed.campaigns.rows import Row
 from testbed.experiments.paper.opencv_sight import opencv_sight
 from testbed.experiments.paper.tracing import Traced, Tracer
 from testbed.lockstep.clock import run
@@ -37,7 +36,6 @@ from vision_pc.core.positioning.look_then_move import step
 from vision_pc.core.se3 import Array, angle_between, transform
 from vision_pc.core.types import Look
 
-EYES = ("pixels", "opencv", "model")
 _AROUND_NS = 250_000_000  # truth is averaged over so much on either side of a look
 _LOOKS = 5
 _UNSEEN = ("measurement.tool_not_seen", "measurement.object_not_seen")
@@ -106,7 +104,7 @@ def bench(config_dir: Path, task: Row, tracer: Tracer | None = None) -> Bench:
 
 def measure(config_dir: Path, task: Row) -> Row:
     """The row of one measurement; one that ends early tells why, and keeps what it had until then."""
-    row: Row = {"seed": task["seed"], "variant": task.get("variant", "")}
+    row: Row = {"seed": task["seed"]}
     rig = bench(config_dir, task)
     with _kept_to_its_end(row):
         measured_on(rig, task["kind"], row)
@@ -141,15 +139,10 @@ def measured_on(rig: Bench, kind: str, row: Row) -> Traced:
         row["tool_shift_mm"] = 1e3 * turned.tool_shift_m[-1]
         _note(rig, "start", rig.eyes.looks[0], row)
         _note(rig, "oriented", rig.eyes.looks[-1], row)
-        return {"turn": _turned_only, "line": _line, "match": _match}[kind](rig, row)
+        return {"line": _line, "match": _match}[kind](rig, row)
     finally:
         row["unseen"] = rig.eyes.unseen
         row["simulated_s"] = 1e-9 * rig.world.time_ns
-
-
-def _turned_only(rig: Bench, row: Row) -> Traced:
-    """3.1 alone, which the rotations of Table 2 are of."""
-    return Traced()
 
 
 def _line(rig: Bench, row: Row) -> Traced:

@@ -1,9 +1,10 @@
-"""`longreach experiment best-mode`: how often one look brings the tool within ±5 mm, over drawn scenarios."""
+"""`longreach experiment positioning`: how often one look ends within ±5 mm, over drawn scenarios."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
+import matplotlib
 import numpy as np
 import typer
 from matplotlib.figure import Figure
@@ -12,23 +13,23 @@ from rich.table import Table
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Adapting, Assignments, ChosenEyes, Commissioned, EyesKind
-from testbed.experiments.positioning.corrected_figures import (
+from testbed.experiments.positioning.corrected_run import PositioningRow, one_run
+from testbed.experiments.positioning.results import (
     LIMIT_MM,
     checks_of,
+    predictions,
     quantile,
-    told,
+    reliability_plot,
+    reliability_table,
     vectors,
     worst_mm,
 )
-from testbed.experiments.positioning.corrected_plot import errors_plot
-from testbed.experiments.positioning.corrected_run import PositioningRow, one_run
-from testbed.experiments.positioning.told import reliability_plot, reliability_table
 from testbed.experiments.positioning.worlds import ARMS, WORLDS, DrawnWorld, WorldName
 from testbed.reporting.console import table
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
 
+_REACH_MM = 8.0  # of the picture's axes
 BRANCHES = {"one_shot": "one shot, no correction", "look1": "one look", "look2": "two looks"}
-
-
 BOTH_ARMS = "both"
 ChosenWorld = Annotated[WorldName, typer.Option(help="What differs from one machine to the next.")]
 
@@ -70,8 +71,8 @@ def positioning_table(done: Positioned) -> list[Table]:
     for arm, rows in by_arm(done.rows).items():
         title = "refused or failed, counted as failed above"
         tables += [_errors(arm, rows), *stops_table(title, "at", rows, BRANCHES)]
-        title = f"arm {arm}, one look: probability told before moving"
-        tables.append(reliability_table(title, told(rows, "look1", "before"), worst_mm(rows, "look1")))
+        title = f"arm {arm}, one look: probability predicted before moving"
+        tables.append(reliability_table(title, predictions(rows, "look1", "before"), worst_mm(rows, "look1")))
     return [*tables, _kept(done.rows)]
 
 
@@ -113,9 +114,9 @@ def positioning_plot(done: Positioned) -> dict[str, Figure]:
     title = f"{len(done.rows)} runs, world: {done.settings.world}, eyes: {done.settings.eyes}"
     worst = worst_mm(done.rows, "look1")
     groups = {"before moving": "before", "by odometry": "after"}
-    honest = {words: (told(done.rows, "look1", when), worst) for words, when in groups.items()}
+    honest = {words: (predictions(done.rows, "look1", when), worst) for words, when in groups.items()}
     return {
-        "errors": errors_plot(by_arm(done.rows), BRANCHES, LIMIT_MM, title),
+        "errors": errors_plot(by_arm(done.rows), title),
         "reliability": reliability_plot(honest, f"one look, {title}"),
     }
 
@@ -151,8 +152,30 @@ def stops_table(title: str, first: str, rows: Sequence[Any], words: Mapping[str,
     return [table(title, [first, "cause", "runs"], cells)] if cells else []
 
 
-BEST_MODE = Experiment(
-    name="best-mode",
+def errors_plot(arms: Mapping[str, Sequence[PositioningRow]], title: str) -> Figure:
+    """For each arm the share of runs (all of them, also the failed) within an error, one line a branch."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(4.6 * len(arms), 3.6), layout="constrained")
+        faces = np.atleast_1d(figure.subplots(1, len(arms), sharey=True))
+        for axes, (arm, rows) in zip(faces, arms.items(), strict=True):
+            for (name, words), colour in zip(BRANCHES.items(), AXIS_COLOURS, strict=True):
+                worst = np.array([getattr(row, name).worst_mm for row in rows])
+                worst = np.sort(worst[np.isfinite(worst)])
+                share = 100.0 * np.arange(1, len(worst) + 1) / len(rows)
+                axes.step(
+                    np.append(0.0, worst), np.append(0.0, share), where="post", color=colour, label=words
+                )
+            axes.axvspan(0.0, LIMIT_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
+            axes.set(xlabel="worse of true |x|, |y| / mm", xlim=(0.0, _REACH_MM), ylim=(0.0, 101.0))
+            axes.set_title(f"{arm}: {len(rows)} runs")
+        faces[0].set_ylabel("runs within / %")
+        faces[0].legend(loc="lower right")
+        figure.suptitle(title)
+        return figure
+
+
+CORRECTED = Experiment(
+    name="positioning",
     title="One look, then within 5 mm.",
     settings=DrawnSettings,
     row=PositioningRow,

@@ -1,4 +1,4 @@
-"""One run of the best mode: turn parallel, three legs, then the same look driven in one go and corrected.
+"""One run of corrected positioning: turn parallel, three legs, then one look driven open-loop and corrected.
 
 The world is forked after the calibration, so that the strictly one-shot drive, the corrected one and the
 second look begin from the very same arm, oil and noise.
@@ -16,11 +16,9 @@ from foundation.configuration import laid_over, merged, parse_overrides
 from nominal_arm.commissioned import JointPlay
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
+from testbed.campaigns.rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.scenarios import Drawn, draw
-from testbed.experiments.positioning.stated import stated_commissioning
-from testbed.experiments.positioning.told import Told, told_of
-from testbed.experiments.positioning.worlds import WORLDS, WorldName
+from testbed.experiments.positioning.worlds import WORLDS, WorldName, stated_commissioning
 from testbed.lockstep.eyes import SightMaker
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
@@ -28,16 +26,49 @@ from testbed.lockstep.simulated_measurements import load_eye_model, simulated_si
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
+from vision_pc.core.positioning.expected_end import ExpectedEnd, ellipse_level
 from vision_pc.core.se3 import Array
 
 _AVERAGED = 25  # truths at 50 Hz: half a second at rest
 JSON = dict[str, Any]
 
 
+class Prediction(NamedTuple):
+    """The predicted error at the end in x and y, and where the true error lies in it.
+
+    ``probability`` to end inside the tolerance; mean, standard deviations, correlation and Student's
+    ``freedom`` (NaN: normal). ``distance2``: squared distance of the true error from the mean, by the whole
+    covariance, 2 in the mean when honest; ``level2``: what 95 % stay below.
+    """
+
+    probability: float = float("nan")
+    mean_x_mm: float = float("nan")
+    mean_y_mm: float = float("nan")
+    std_x_mm: float = float("nan")
+    std_y_mm: float = float("nan")
+    correlation: float = float("nan")
+    freedom: float = float("nan")
+    distance2: float = float("nan")
+    level2: float = float("nan")
+
+
+def prediction_of(end: ExpectedEnd, true_mm: Array) -> Prediction:
+    """The columns of ``end``, when the error became ``true_mm`` (3,)."""
+    x, y = 1e3 * end.mean_m[:2]
+    std_x, std_y = 1e3 * end.std_m[:2]
+    off = 1e-3 * true_mm[:2] - end.mean_m[:2]
+    distance2 = float(off @ np.linalg.solve(end.covariance[:2, :2], off))
+    freedom = end.freedom if np.isfinite(end.freedom) else float("nan")
+    level = ellipse_level(end.freedom)
+    return Prediction(
+        end.inside, float(x), float(y), float(std_x), float(std_y), end.correlation, freedom, distance2, level
+    )
+
+
 class Branch(NamedTuple):
     """One look and its drive: true error, the servo's part, what was predicted, measured, looked at, mm.
 
-    ``before``: what was told before moving; ``after``: what odometry told before the last look.
+    ``before``: predicted before moving; ``after``: by odometry, before the last look.
     """
 
     true_mm: XYZ = UNKNOWN
@@ -46,8 +77,8 @@ class Branch(NamedTuple):
     measured_mm: XYZ = UNKNOWN
     look_mm: XYZ = UNKNOWN
     worst_mm: float = math.nan
-    before: Told = Told()
-    after: Told = Told()
+    before: Prediction = Prediction()
+    after: Prediction = Prediction()
     steps: int | None = None
     ended: str = ""
     failure: str = ""
@@ -177,8 +208,8 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
         measured_mm=xyz([1e3 * float(value) for value in result.measured_residual_m]),
         look_mm=xyz([1e3 * float(value) for value in final.error_m]),
         worst_mm=float(np.abs(error_mm[:2]).max()),
-        before=told_of(result.expected, error_mm),
-        after=told_of(result.seen, error_mm),
+        before=prediction_of(result.expected, error_mm),
+        after=prediction_of(result.seen, error_mm),
         steps=len(steps),
         ended=result.positioning.ended,
     )

@@ -1,4 +1,4 @@
-"""The worlds of the best mode's campaign: drawn wide, and only kept where the task can be done at all.
+"""Scenarios of drawn worlds: drawn wide, and only kept where the task can be done at all.
 
 A draw is kept when tool marker and object are in view from the start, with the tool turned parallel to the
 object, and when the arm reaches the goal with room to spare. Everything else is left as drawn.

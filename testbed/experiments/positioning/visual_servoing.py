@@ -1,4 +1,4 @@
-"""`longreach experiment looking-and-moving`: the closed loop against look-then-move, from the same start."""
+"""`longreach experiment positioning --method visual-servoing`: the closed loop beside look-then-move."""
 
 import copy
 import math
@@ -11,10 +11,10 @@ from rich.table import Table
 from protocol.errors import LongreachError
 from testbed.campaigns.campaign import Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
+from testbed.campaigns.rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.corrected import DrawnSettings, positioning_tasks, stops_table
-from testbed.experiments.positioning.corrected_figures import quantile, share, worst_mm
 from testbed.experiments.positioning.corrected_run import drawn_by, operate, prepared, true_error_mm
+from testbed.experiments.positioning.results import quantile, share, worst_mm
 from testbed.lockstep.rig import LockstepRig
 from testbed.reporting.console import table
 
@@ -110,8 +110,8 @@ def servoing_verdict(done: Served) -> list[Check]:
     return [at_least(f"looking and moving: share under {LIMIT_MM:g} mm", reached, WANTED_SHARE)]
 
 
-LOOKING_AND_MOVING = Experiment(
-    name="looking-and-moving",
+VISUAL_SERVOING = Experiment(
+    name="visual-servoing",
     title="Visual servoing beside look-then-move.",
     settings=DrawnSettings,
     row=ServoingRow,

@@ -33,7 +33,7 @@ from protocol.process_image import (
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.campaigns.options import Assignments
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.rows import typed
 from testbed.realtime.child import Service
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.live_client import LiveClient

@@ -1,5 +1,6 @@
 """Many cuts of the reference stream at random moments of streamed motions, in lockstep, without pictures."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -7,13 +8,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
-from protocol.faults import FaultCode
+from plant_emulator.config.valves import JOINT_NAMES
+from protocol.datagram_layout import Kind
+from protocol.errors import LinkLost
+from protocol.faults import CommandCode, FaultCode, GroupState
+from protocol.process_image import STATUS_VALVES_ENABLED
+from protocol.reference_messages import StreamedPose
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
-from testbed.experiments.robustness.stream_cut_run import COMMAND_MS, CUTS, FLOW_MS, RATES_HZ, one_cut
+from testbed.lockstep.clock import run
+from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.world import World
 from testbed.reporting.console import table
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from vision_pc.core.se3 import Array, exp_so3, from_pose, to_pose
 
 
 class CutSettings(NamedTuple):
@@ -128,3 +137,168 @@ STREAM_CUTS = Experiment(
     runs=459,
     eyes="none",
 )
+
+
+RATES_HZ = (15.0, 20.0, 30.0, 60.0)
+KINDS = ("point", "jitter", "sway", "circle")
+CUTS = ("stream", "link", "bye")
+COMMAND_MS, FLOW_MS = 100.0, 130.0  # no valve command, no oil later than this after the last fresh reference
+_KIND_AT = 6  # of a datagram
+_MIN_SPEED_M_S = 0.02  # of the commanded tool at the cut: a cut at rest would show nothing
+_LONGEST_S = 8.0
+_WATCHED_S = 1.0
+_RETURNS_S = 0.3  # after the cut the references come again: nothing may follow them
+
+
+class Motion(NamedTuple):
+    """How the reference moves from the start: by ``reach`` (m) along ``u`` and ``v``, with ``omega`` (rad/s).
+
+    A point, and one that measurement noise moves, lie 2 ``reach`` away; ``turn`` is a rotation vector.
+    """
+
+    kind: str
+    reach: float
+    omega: float
+    u: Array
+    v: Array
+    turn: Array
+
+    def at(self, X_BT: Array, t: float, rng: np.random.Generator) -> tuple[Array, Array]:
+        """The reference (4, 4) and its twist (6,) at ``t`` s after the start at ``X_BT``."""
+        X, twist = X_BT.copy(), np.zeros(6)
+        c, s = math.cos(self.omega * t), math.sin(self.omega * t)
+        if self.kind == "sway":
+            X[:3, 3] += self.reach * s * self.u
+            twist[:3] = self.reach * self.omega * c * self.u
+        elif self.kind == "circle":
+            X[:3, 3] += self.reach * (s * self.u + (1.0 - c) * self.v)
+            X[:3, :3] = exp_so3(self.turn * s) @ X[:3, :3]
+            twist[:3] = self.reach * self.omega * (c * self.u + s * self.v)
+        else:
+            X[:3, 3] += 2.0 * self.reach * self.u
+            X[:3, :3] = exp_so3(self.turn) @ X[:3, :3]
+            if self.kind == "jitter":
+                X[:3, 3] += rng.normal(scale=1e-3, size=3)
+        return X, twist
+
+
+class CutStream:
+    """The world of one run, with the stream's clock: references at ``rate_hz`` until they are cut."""
+
+    def __init__(self, settings: Settings, seed: int, rate_hz: float, motion: Motion) -> None:
+        self.rng = np.random.default_rng([seed, 2])
+        self.world = World(settings, seed, RunLog())
+        self.world.lead_ns = int(self.rng.integers(0, round(1e6 * settings.controller.cycle_ms)))
+        self.reached_ns = 0
+        self.begun_ns = 0
+        self._rate_hz = rate_hz
+        self._motion = motion
+        self._sent = 0
+        self.world.connect()
+        run(self.world.link.command(CommandCode.ENABLE))
+        run(self.world.link.next_state())
+        self._start = from_pose(self.world.states[-1].X_BT)
+        self.stream_id = run(self.world.link.command(CommandCode.START_STREAM)).command_id
+        self.begun_ns = self.world.time_ns
+        self.world.to_controller = self._noting
+
+    @property
+    def running_s(self) -> float:
+        """Since the stream began."""
+        return 1e-9 * (self.world.time_ns - self.begun_ns)
+
+    def send_due(self) -> None:
+        """Sends the next reference when its time has come."""
+        if self.running_s * self._rate_hz < self._sent:
+            return
+        self._sent += 1
+        X, twist = self._motion.at(self._start, self.running_s, self.rng)
+        a, b, c, d, e, f = twist.tolist()
+        reference = StreamedPose(
+            self.stream_id, self._sent, self.world.vision_ns, to_pose(X), (a, b, c, d, e, f)
+        )
+        self.world.link.stream(reference)
+
+    def _noting(self, datagrams: list[bytes]) -> list[bytes]:
+        """All that was sent arrives; when a reference does is noted."""
+        if any(data[_KIND_AT] == Kind.STREAMED_POSE for data in datagrams):
+            self.reached_ns = self.world.time_ns - self.world.lead_ns
+        return datagrams
+
+
+def one_cut(settings: Settings, seed: int) -> dict[str, Any]:
+    """The figures of the cut of ``seed``: ms since the last fresh reference had reached the controller.
+
+    ``command_ms``: until the last valve command that was not neutral had been replaced in the coupler.
+    ``flow_ms``: until the last spool was inside its overlap for good, by the plant's truth.
+    """
+    rng = np.random.default_rng([seed, 1])
+    rate_hz, kind, cut = float(rng.choice(RATES_HZ)), str(rng.choice(KINDS)), str(rng.choice(CUTS))
+    stream = CutStream(settings, seed, rate_hz, _drawn(rng, kind))
+    world = stream.world
+    cut_s = float(rng.uniform(0.3, 1.6 if kind in ("point", "jitter") else 5.0))  # before a point is reached
+    while stream.running_s < cut_s or _speed(world) < _MIN_SPEED_M_S:
+        if stream.running_s > _LONGEST_S:
+            raise LinkLost("link.no_motion", f"seed {seed}: the {kind} came to rest before its cut")
+        stream.send_due()
+        world.clock.advance()
+    speed = _speed(world)
+    drawn = {"rate_hz": rate_hz, "motion": kind, "cut": cut, "speed_m_s": speed}
+    seen = _watched(stream, cut)
+    in_time = seen["command_ms"] <= COMMAND_MS and seen["flow_ms"] <= FLOW_MS
+    sound = in_time and not seen["resumed"] and seen["fault"] == FaultCode.REFERENCE_STALE.name
+    return drawn | seen | {"pass": sound}
+
+
+def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
+    """What the plant does once the references have ceased, and whether it takes notice of later ones."""
+    world, reached_ns = stream.world, stream.reached_ns
+    if cut == "link":
+        world.to_controller = lambda datagrams: []
+    elif cut == "bye":
+        world.link.disconnect()
+    valves = world.settings.plant.valves
+    shut = min(min(valves.of(name, 1.0).deadband) for name in JOINT_NAMES)
+    command_ms = flow_ms = 0.0
+    resumed = False
+    while world.time_ns - reached_ns < _WATCHED_S * 1e9:
+        before_ms = 1e-6 * (world.time_ns - reached_ns)
+        opening = float(np.abs(world.plant.truth().spools).max())
+        if cut == "stream" and world.time_ns - reached_ns > _RETURNS_S * 1e9:
+            stream.send_due()
+        world.clock.advance()
+        until_ms = 1e-6 * (world.time_ns - reached_ns)
+        truth = world.plant.truth()
+        if np.any(truth.valves):
+            command_ms = until_ms
+            resumed |= before_ms > COMMAND_MS
+        if max(opening, float(np.abs(truth.spools).max())) > shut:
+            flow_ms = until_ms
+    state = world.states[-1]
+    said = [event["what"] for event in world.log.events if event["event"] == "controller"]
+    faults = [what["cause"] for what in said if what["name"] == "fault"]
+    return {
+        "command_ms": command_ms,
+        "flow_ms": flow_ms,
+        "resumed": resumed or bool(world.plant.read().status & STATUS_VALVES_ENABLED),
+        "fault": faults[0] if faults else state.fault.name,
+        "group": GroupState(state.group_state).name,
+    }
+
+
+def _speed(world: World) -> float:
+    """Of the tool, as the last two states show it (m/s)."""
+    older, newer = world.states[-2], world.states[-1]
+    way = np.subtract(newer.X_BT_cmd.p_m, older.X_BT_cmd.p_m)
+    return float(np.linalg.norm(way)) / (1e-9 * (newer.time_ns - older.time_ns))
+
+
+def _drawn(rng: np.random.Generator, kind: str) -> Motion:
+    u = rng.normal(size=3)
+    u /= np.linalg.norm(u)
+    v = np.cross(u, rng.normal(size=3))
+    v /= np.linalg.norm(v)
+    omega = float(rng.uniform(0.4, 0.9))
+    reach = float(rng.uniform(0.06, 0.1)) if kind in ("sway", "circle") else float(rng.uniform(0.1, 0.2))
+    turn = rng.normal(size=3)
+    return Motion(kind, reach, omega, u, v, turn * (0.15 / np.linalg.norm(turn)))

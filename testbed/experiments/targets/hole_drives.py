@@ -1,4 +1,4 @@
-"""`longreach experiment hole-drives`: the worlds of the best mode with holes for markers, one look a hole."""
+"""`longreach experiment targets --method hole-drives`: drawn machines and drill holes, one look each."""
 
 import contextlib
 from collections.abc import Sequence
@@ -10,13 +10,12 @@ from rich.table import Table
 from typer import Option
 
 from plant_emulator.core.camera.wall.bores import hole_places
-from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import LongreachError, MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
 from testbed.campaigns.options import Adapting, Assignments, Commissioned
-from testbed.experiments.positioning.corrected_figures import LIMIT_MM, quantile, share
 from testbed.experiments.positioning.corrected_run import operate, settings_of
+from testbed.experiments.positioning.results import LIMIT_MM, quantile, share
 from testbed.experiments.positioning.worlds import ARMS, WorldName
 from testbed.lockstep.clock import run
 from testbed.lockstep.rig import LockstepRig
@@ -45,7 +44,6 @@ class HoleDriveSettings(NamedTuple):
     assignments: Assignments = None
     adapting: Adapting = False
     commissioned: Commissioned = False
-    bare_tool: Annotated[bool, Option(help="The tool's marker is covered after one look.")] = False
 
 
 class HoleEnd(NamedTuple):
@@ -104,7 +102,7 @@ def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> l
             "arm": settings.arm,
             "holes": settings.holes,
             "assignments": settings.assignments or [],
-            **{name: True for name in ("adapting", "commissioned", "bare_tool") if getattr(settings, name)},
+            **{name: True for name in ("adapting", "commissioned") if getattr(settings, name)},
         }
         for seed in seeds(request)
     ]
@@ -120,8 +118,6 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
     ends: dict[int, HoleEnd] = {}
     targets = _clicked(rig, places, task["holes"], set())
     while targets:
-        if task.get("bare_tool") and not ends:
-            _bare_tool(rig, targets[0][0])
         target, hole = targets.pop(0)
         ends[hole] = _visited(rig, target, places[hole])
         targets += _clicked(rig, places, task["holes"], {*ends, *(hole for _, hole in targets)})
@@ -132,7 +128,7 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
 
 
 def hole_scenario(config_dir: Path, task: JSON) -> Settings:
-    """The scenario of a seed of the best mode, nine holes where its markers would be.
+    """The scenario of a seed of `positioning`, nine holes where its markers would be.
 
     The arm reaches those that are driven to with the tool as it stands: a visit does not turn it first.
     """
@@ -171,14 +167,6 @@ def _clicked(rig: LockstepRig, places: Array, wanted: int, clicked: set[int]) ->
         with contextlib.suppress(TargetRefused):  # such as beside the tool: clicked later
             targets.append((run(rig.camera.target_at(Click("left", pixel, "hole"), None)).id, hole))
     return targets
-
-
-def _bare_tool(rig: LockstepRig, target: str) -> None:
-    """One look with the tool's marker, which nobody sees after it: no marker is left in any picture."""
-    rig.camera.targets.aim(target)
-    run(rig.camera.look())
-    number = rig.world.settings.scene.tool_marker.marker_id
-    rig.world.plant.inject(MarkerCovered(marker_id=number, share=1.0))
 
 
 def _visited(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:

@@ -23,7 +23,7 @@ from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
 from testbed.campaigns import campaign, provenance, workforce
 from testbed.campaigns.campaign import CampaignRequest, configuration_of, evidence_of
 from testbed.campaigns.provenance import PACKAGES, imported_sources
-from testbed.campaigns.row_file import RowFile, cell
+from testbed.campaigns.rows import RowFile, cell
 from testbed.campaigns.workforce import REACH_S
 
 pytestmark = pytest.mark.slow("campaigns start processes")

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from testbed.campaigns.typed_rows import XYZ, flat, typed
+from testbed.campaigns.rows import XYZ, flat, typed
 
 
 class Leg(NamedTuple):

@@ -39,21 +39,17 @@ CASES = (
     Case("demo --lockstep --target hole --out {out}"),
     Case("up --free-ports --out {out}"),
     Case("soak --free-ports --minutes 5 --out {out}", RUN),
-    Case("experiment best-mode --count 5 --workers 0 --out {out}", ROWS),
-    Case("experiment best-mode --count 5 --workers 2 --out {out}", ROWS),
+    Case("experiment positioning --count 5 --workers 0 --out {out}", ROWS),
+    Case("experiment positioning --count 5 --workers 2 --out {out}", ROWS),
     Case("experiment paper --eyes model --count 5 --workers 0 --out {out}", ROWS),
-    Case("experiment attacks --out {out}", ROWS),
-    Case("experiment settle --count 5 --workers 0 --out {out}", ROWS),
+    Case("experiment robustness --method attacks --out {out}", ROWS),
+    Case("experiment parking --count 5 --workers 0 --out {out}", ROWS),
     Case("experiment commissioning --count 5 --workers 0 --out {out}", ROWS),
     Case("experiment targets --count 50 --workers 0 --out {out}", ROWS),
-    Case("sensitivity --workers 0 --out {out}", ROWS),
+    Case("experiment sensitivity --workers 0 --out {out}", ROWS),
     Case("commission --out {out}", "joints are kept in"),
     Case("identify {made}/moved.csv --out {out}/plant"),
     Case("camera emulate --pairs 400 --out {out}/board"),
-    Case("camera loop {made}/camera.yaml --count 3"),
-    Case("hand-eye camera-share --count 100"),
-    Case("validate plant"),
-    Case("validate plant-survey --out {out}"),
     Case("picture effects --out {out}"),
     Case("picture run --out {out}/run.webp"),
     Case("recording merge {made} --out {out}/merged.mcap"),
@@ -62,9 +58,8 @@ CASES = (
     Case("sniff --interface lo"),
 )
 NOT_TRIED = {  # of the long commands
-    "camera calibrate": "computes in one thread, as `camera loop` does",
+    "camera calibrate": "computes in one thread",
     "conformance": "waits for somebody else's controller",
-    "hand-eye real-data": "its pictures are not in this repository",
     "hand-eye session run": "waits for a rig",
     "odometry": "wants a recorded sequence",
 }
@@ -72,7 +67,7 @@ NOT_TRIED = {  # of the long commands
 
 SHORT = {
     "arm check", "arm draw", "arm list", "arm new", "camera check", "camera convert", "doctor", "export fmu",
-    "export mjcf", "export urdf", "hand-eye bad-files", "hand-eye compare", "hand-eye drawing",
+    "export mjcf", "export urdf", "hand-eye compare", "hand-eye drawing",
     "hand-eye intrinsics", "hand-eye samples", "hand-eye solve", "init", "markers", "picture machine",
     "programs", "runs clean", "runs compare", "runs list", "runs open", "runs show", "target", "token new",
     *(f"hand-eye session {step}" for step in (
@@ -170,7 +165,7 @@ def test_every_long_command_is_tried_or_said_not_to_be() -> None:
 def leaves(group: Any, before: tuple[str, ...] = ()) -> Iterator[str]:
     for name in group.list_commands(None):
         at = (*before, name)
-        later = name in getattr(group, "later", {}) and name != "sensitivity"
+        later = name in getattr(group, "later", {})
         inner = group.load(name) if later and name != "experiment" else group.get_command(None, name)
         if hasattr(inner, "list_commands"):
             yield from leaves(inner, at)

@@ -14,13 +14,9 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from testbed.cli import validate
 from testbed.cli.main import app
 from testbed.reporting import console
 from testbed.reporting.console import bars, time_left
-from testbed.validation import plant
-from testbed.validation.case import ValidationCase
-from testbed.validation.oracles import oracle
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
 
@@ -64,10 +60,9 @@ def test_a_session_without_a_rig_says_what_to_start(step: str) -> None:
     [
         ("demo", "--lockstep", "--out", "{file}/runs"),
         ("up", "--free-ports", "--out", "{file}/runs"),
-        ("experiment", "stream-cuts", "--count", "1", "--out", "{file}/rows"),
+        ("experiment", "robustness", "--count", "1", "--out", "{file}/rows"),
         ("doctor", "--json", "{file}/doctor.json"),
         ("picture", "effects", "--out", "{file}/pictures"),
-        ("validate", "plant-survey", "--out", "{file}/survey"),
     ],
 )
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(
@@ -128,7 +123,8 @@ def test_ctrl_c_in_lockstep_leaves_no_empty_directory(tmp_path: Path) -> None:
 @pytest.mark.timeout(400)
 def test_ctrl_c_in_a_campaign_keeps_the_rows_and_says_so(tmp_path: Path) -> None:
     status, told = interrupted(
-        "experiment", "plant-campaign", "--count", "400", "--out", str(tmp_path), after=tmp_path / "rows.csv"
+        *("experiment", "validation", "--method", "rough", "--count", "400", "--out", str(tmp_path)),
+        after=tmp_path / "rows.csv",
     )
     assert status == 130
     assert f"rows are kept in {tmp_path}/rows.csv" in told
@@ -138,7 +134,8 @@ def test_ctrl_c_in_a_campaign_keeps_the_rows_and_says_so(tmp_path: Path) -> None
 @pytest.mark.timeout(400)
 def test_ctrl_c_while_workers_start_is_not_lost(tmp_path: Path) -> None:
     status, told = interrupted(
-        "experiment", "plant-campaign", "--count", "400", "--out", str(tmp_path), after=starts_workers
+        *("experiment", "validation", "--method", "rough", "--count", "400", "--out", str(tmp_path)),
+        after=starts_workers,
     )
     assert status == 130
     assert "longreach: ended by Ctrl-C" in told
@@ -182,22 +179,3 @@ def test_a_pipe_gets_one_line_a_minute(
             bar.update(second / 200.0, f"run {second}")
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["runs: 30 %, 2:20 left, run 60", "runs: 60 %, 1:20 left, run 120"]
-
-
-def test_validate_plant_runs_what_needs_no_oracle(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    case = ValidationCase(1, "right", "m", 1.0, 1.0, 0.1, "geometry")
-
-    def compared(config_dir: Path) -> list[ValidationCase]:
-        oracle("no_such_oracle")
-        return []
-
-    families = {1: ("geometry", lambda config_dir: [case]), 2: ("accelerations", compared)}
-    monkeypatch.setattr(plant, "FAMILIES", families)
-    monkeypatch.setattr(validate, "FAMILIES", families)
-    assert not validate.validate_plant(tmp_path, None)  # not all of it was validated
-    said = capsys.readouterr().out
-    assert "1 of 1 cases in 1 families passed" in said
-    assert "families 2 left out, so the status is 1" in said
-    assert "make setup-dev" in said

@@ -10,23 +10,16 @@ import typer
 from typer.testing import CliRunner
 
 from testbed.campaigns.experiment import Experiment, at_least, inside
-from testbed.campaigns.option_shapes import PINNED, written_down
+from testbed.campaigns.options import PINNED, written_down
 from testbed.cli.experiment import app as typer_group
 from testbed.cli.experiment import shown_of
 from testbed.cli.main import app
 from testbed.experiments.catalogue import OURS, catalogue
 
-OLD_COMMANDS = (
-    "paper", "table2", "table3", "table4", "fig5", "fig6", "fig7", "fig8", "fig9", "ablation", "sweep",
-    "best-mode", "looking-and-moving", "eyes-agree", "eyes-measure", "path-information", "lockstep-demo",
-    "hua-fig5", "hua-fig6", "hua-fig7", "hua-intrinsics", "hand-eye-stress", "hand-eye-guided", "stream-cuts",
-    "controller-kills", "plant-campaign",
-)  # fmt: skip
 
-
-@pytest.mark.parametrize("name", [*OLD_COMMANDS, "positioning"])
+@pytest.mark.parametrize("name", OURS)
 def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> None:
-    assert isinstance(catalogue()[name].load(), Experiment)
+    assert all(isinstance(catalogue()[name].load(method), Experiment) for method in OURS[name].places)
     shown = CliRunner().invoke(app, ["experiment", name, "--help"], terminal_width=200)
     assert shown.exit_code == 0
     for option in ("--out", "--fresh", "--scheduler", "--workers", "--config-dir", "--json"):
@@ -61,15 +54,29 @@ def test_the_list_says_what_each_shows_and_costs() -> None:
     assert all(name in listed.output for name in catalogue())
 
 
-def test_positioning_has_both_methods_and_their_own_defaults() -> None:
+def test_each_method_has_its_own_defaults_and_takes_its_own_options_alone(tmp_path: Path) -> None:
     corrected, servoing = (catalogue()["positioning"].load(name) for name in ("corrected", "visual-servoing"))
-    assert (corrected.name, corrected.runs) == ("best-mode", 200)
-    assert (servoing.name, servoing.runs) == ("looking-and-moving", 60)
+    assert (corrected.runs, servoing.runs) == (200, 60)
+    words = ["experiment", "targets", "--only", "plane", "--out", str(tmp_path)]
+    refused = CliRunner().invoke(app, [*words, "--method", "hole-drives"])
+    assert refused.exit_code == 2
+    assert "--only is not an option of --method hole-drives" in refused.stderr
 
 
 def test_a_verdict_is_met_or_not_by_each_limit_and_says_the_conditions(tmp_path: Path) -> None:
     rows, report = tmp_path / "rows", tmp_path / "report.json"
-    command = ["experiment", "plant-campaign", "--count", "2", "--workers", "0", "--step-ms", "0.5"]
+    command = [
+        "experiment",
+        "validation",
+        "--method",
+        "rough",
+        "--count",
+        "2",
+        "--workers",
+        "0",
+        "--step-ms",
+        "0.5",
+    ]
     command += ["--out", str(rows), "--json", str(report)]
     first = CliRunner().invoke(app, command)
     assert "runs that failed" in first.output

@@ -23,7 +23,7 @@ import sys
 from typer.testing import CliRunner
 from testbed.cli.main import app
 from testbed.cli.root import PANELS
-for words in ([], *([name] for names in PANELS.values() for name in names), ["experiment", "best-mode"]):
+for words in ([], *([name] for names in PANELS.values() for name in names), ["experiment", "positioning"]):
     assert CliRunner().invoke(app, [*words, "--help"]).exit_code == 0, words
     assert not [name for name in {HEAVY} if name in sys.modules], words
 """
@@ -54,7 +54,18 @@ def test_experiments_are_listed_with_what_they_show_and_cost() -> None:
 
 
 def test_quiet_gives_results_alone_and_verbose_says_where(tmp_path: Path) -> None:
-    words = ["experiment", "plant-campaign", "--count", "1", "--step-ms", "0.5", "--workers", "0"]
+    words = [
+        "experiment",
+        "validation",
+        "--method",
+        "rough",
+        "--count",
+        "1",
+        "--step-ms",
+        "0.5",
+        "--workers",
+        "0",
+    ]
     words += ["--out", str(tmp_path / "rows"), "--json", str(tmp_path / "figures.json")]
     assert "figures written to" in CliRunner().invoke(app, words).stdout
     assert "figures written to" not in CliRunner().invoke(app, [*words, "-q"]).stdout
@@ -65,7 +76,7 @@ def test_quiet_gives_results_alone_and_verbose_says_where(tmp_path: Path) -> Non
 
 @pytest.mark.bench
 @pytest.mark.parametrize(
-    "words", [(), ("demo",), ("experiment",), ("camera",), ("experiment", "best-mode"), ("sensitivity",)]
+    "words", [(), ("demo",), ("experiment",), ("camera",), ("experiment", "positioning")]
 )
 def test_help_costs_less_than_0_4_s_of_processor_time(words: tuple[str, ...]) -> None:
     def cpu_s(*command: str) -> float:
@@ -87,7 +98,7 @@ def test_help_costs_less_than_0_4_s_of_processor_time(words: tuple[str, ...]) ->
     ("typed", "offered"),
     [
         ("longreach dem", ["demo"]),
-        ("longreach experiment plant", ["plant-campaign"]),
+        ("longreach experiment val", ["validation"]),
         ("longreach camera c", ["check", "calibrate", "convert"]),
         ("longreach demo --se", ["--seed", "--set"]),
     ],

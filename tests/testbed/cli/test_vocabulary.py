@@ -17,8 +17,7 @@ from testbed.cli.main import app
 pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 ROOT = Path(__file__).parents[3]
-EVIDENCE = {ROOT / "docs" / name for name in ("evidence.md", "evidence_history.md")}  # the names of then
-PAGES = [ROOT / "README.md", *(page for page in (ROOT / "docs").rglob("*.md") if page not in EVIDENCE)]
+PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
 SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
     "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "picture run", "runs open",
@@ -58,7 +57,7 @@ def test_one_word_for_one_thing(commands: dict[str, Any]) -> None:
         named = [getattr(p, "help", None) or "" for p in command.params if p.param_type_name == "argument"]
         assert not [told for told in named if "Where" in told or "to write" in told], (path, "wants --out")
     assert set(commands) >= WITHOUT_FIGURES
-    several = {"camera loop", "hand-eye camera-share", "experiment paper", "experiment best-mode"}
+    several = {"experiment paper", "experiment positioning"}
     assert all({"--count", "--seed"} <= options(commands[path]) for path in several)
 
 
@@ -94,10 +93,21 @@ def test_every_example_is_one(commands: dict[str, Any]) -> None:
 
 
 def test_former_names_still_lead_there_and_are_not_shown(tmp_path: Path) -> None:
-    words = ["experiment", "plant-campaign", "--runs", "1", "--step-ms", "0.5", "--workers", "0"]
+    words = [
+        "experiment",
+        "validation",
+        "--method",
+        "rough",
+        "--runs",
+        "1",
+        "--step-ms",
+        "0.5",
+        "--workers",
+        "0",
+    ]
     done = asked(*words, f"--directory={tmp_path}")
     assert "1 runs, seeds 1 to 1" in done.output
     assert (tmp_path / "rows.csv").is_file()
-    shown = asked("experiment", "plant-campaign", "--help").output
+    shown = asked("experiment", "validation", "--help").output
     assert "--count" in shown
     assert "--runs" not in shown

@@ -13,7 +13,7 @@ import pytest
 
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
-from testbed.experiments.robustness.attacks.campaign import (
+from testbed.experiments.robustness.attacks import (
     NONE,
     STOP_P99_MS,
     AttackRow,
@@ -22,7 +22,7 @@ from testbed.experiments.robustness.attacks.campaign import (
     attack_tasks,
     attack_verdict,
 )
-from testbed.experiments.robustness.attacks.strangers import ATTACKS, Listeners
+from testbed.experiments.robustness.strangers import ATTACKS, Listeners
 
 SECONDS = 0.3
 REFUSED = b"HTTP/1.1 413 too large\r\nContent-Length: 0\r\n\r\n"

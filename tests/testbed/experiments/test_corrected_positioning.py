@@ -1,4 +1,4 @@
-"""The best mode's campaign: what it draws, what it counts, and that its verdict can fail."""
+"""Corrected positioning's campaign: what it draws, what it counts, and that its verdict can fail."""
 
 from pathlib import Path
 from typing import Any
@@ -10,35 +10,30 @@ from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.campaigns.campaign import CampaignRequest
-from testbed.campaigns.experiment import Finished, perform
-from testbed.campaigns.typed_rows import flat, typed
+from testbed.campaigns.experiment import Finished
+from testbed.campaigns.rows import flat, typed
 from testbed.experiments.positioning.corrected import (
     BOTH_ARMS,
-    BRANCHES,
     DrawnSettings,
+    errors_plot,
     positioning_table,
     positioning_tasks,
 )
-from testbed.experiments.positioning.corrected_figures import (
+from testbed.experiments.positioning.corrected_run import PositioningRow, prediction_of
+from testbed.experiments.positioning.results import (
+    chance_band,
     checks_of,
+    covered,
+    nees,
+    overconfident_failures,
+    predictions,
+    reliability,
+    reliability_plot,
     share,
-    told,
     worst_mm,
     worst_ratio,
 )
-from testbed.experiments.positioning.corrected_plot import errors_plot
-from testbed.experiments.positioning.corrected_run import PositioningRow
-from testbed.experiments.positioning.path_information import PATH_INFORMATION, PathSettings
 from testbed.experiments.positioning.scenarios import draw
-from testbed.experiments.positioning.told import (
-    chance_band,
-    covered,
-    nees,
-    reliability,
-    reliability_plot,
-    silent_misses,
-    told_of,
-)
 from testbed.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.settings import load_settings
@@ -105,7 +100,7 @@ def row(error: float, std: float = 1.0, **changes: Any) -> PositioningRow:
             made |= {f"{name}_true_{axis}_mm": error, f"{name}_std_{axis}_mm": std}
             made |= {f"{name}_servo_{axis}_mm": 0.4}
         for when in ("before", "after"):
-            made |= flat({f"{name}_{when}": told_of(end, np.full(3, error))})
+            made |= flat({f"{name}_{when}": prediction_of(end, np.full(3, error))})
     return typed(PositioningRow, made | changes)
 
 
@@ -147,50 +142,52 @@ def test_the_tables_tell_what_the_world_draws_and_how_many_draws_were_not_kept()
 
 def test_the_share_inside_the_ellipse_counts_runs_that_ended() -> None:
     rows = [row(0.5)] * 19 + [row(2.0), row(0.5, look1_before_distance2=None)]
-    assert covered(told(rows, "look1", "before")) == pytest.approx(0.95)
+    assert covered(predictions(rows, "look1", "before")) == pytest.approx(0.95)
 
 
 def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
     rng = np.random.default_rng(2)
     rows = [row(float(e), std=3.0) for e in rng.normal(size=200)]
-    value, (low, high) = nees(told(rows, "look1", "before")), chance_band(200)
+    value, (low, high) = nees(predictions(rows, "look1", "before")), chance_band(200)
     assert value < low < 1.0 < high
     missed = {check.what for check in checks_of(rows, LAB.demands) if check.met is False}
     assert "one look: error² over predicted variance, mean" in missed
 
 
-def test_a_miss_is_silent_where_it_was_told_to_be_unlikely() -> None:
+def test_a_failure_is_overconfident_where_it_was_predicted_to_be_unlikely() -> None:
     surprised, warned, good = row(6.0, std=1.0), row(6.0, std=6.0), row(1.0, std=1.0)
     rows = [surprised, warned, good, failed("measurement.odometry_lost: z")]
-    before = told(rows, "look1", "before")
+    before = predictions(rows, "look1", "before")
     assert before[0].probability > 0.99
     assert before[1].probability < 0.5
-    assert silent_misses(before, worst_mm(rows, "look1")) == 1
+    assert overconfident_failures(before, worst_mm(rows, "look1")) == 1
     assert worst_ratio(rows, "look1") == pytest.approx(6.0)
     untold = [row(6.0, look1_before_probability=None)]
-    assert silent_misses(told(untold, "look1", "before"), worst_mm(untold, "look1")) == 1, "nobody was warned"
+    assert overconfident_failures(predictions(untold, "look1", "before"), worst_mm(untold, "look1")) == 1, (
+        "nobody was warned"
+    )
     found = {check.what: check for check in checks_of(rows, LAB.demands)}
-    assert found["one look: silent misses"].met is False
-    assert {check.what: check for check in checks_of([good], LAB.demands)}["one look: silent misses"].met
+    assert found["one look: overconfident failures"].met is False
+    assert {check.what: check for check in checks_of([good], LAB.demands)}[
+        "one look: overconfident failures"
+    ].met
 
 
-def test_the_reliability_counts_by_what_was_told() -> None:
+def test_the_reliability_counts_by_what_was_predicted() -> None:
     rows = [row(1.0, std=1.0)] * 3 + [row(6.0, std=6.0), row(3.0, std=6.0)]
-    bins = reliability(told(rows, "look1", "before"), worst_mm(rows, "look1"))
+    bins = reliability(predictions(rows, "look1", "before"), worst_mm(rows, "look1"))
     assert [(count, share) for _, _, count, _, share in bins] == [(2, 0.5), (3, 1.0)]
-    figure = reliability_plot({"all": (told(rows, "look1", "before"), worst_mm(rows, "look1"))}, "title")
+    figure = reliability_plot(
+        {"all": (predictions(rows, "look1", "before"), worst_mm(rows, "look1"))}, "title"
+    )
     assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [2, 2]  # the diagonal, and two bins
-
-
-def test_the_used_path_is_not_beaten_by_a_shorter_one(tmp_path: Path) -> None:
-    assert perform(PATH_INFORMATION, CampaignRequest(CONFIGS, tmp_path, workers=0), PathSettings())
 
 
 def test_the_picture_counts_runs_that_failed() -> None:
     rows = [row(1.0 + k) for k in range(3)]
-    figure = errors_plot({"plant": rows, "plant_long_crane": [failed("why")]}, BRANCHES, 5.0, "title")
+    figure = errors_plot({"plant": rows, "plant_long_crane": [failed("why")]}, "title")
     ends = [[line.get_ydata()[-1] for line in axes.lines] for axes in figure.axes]
-    assert ends == [[100.0] * len(BRANCHES), [0.0] * len(BRANCHES)]
+    assert ends == [[100.0] * 3, [0.0] * 3]
 
 
 def test_what_all_drives_end_off_alike_is_not_how_differently_they_end() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye import real_data
+from testbed.experiments.hand_eye import real_sets
 from tests.support.paths import CONFIGS
 
 
@@ -15,9 +15,9 @@ def test_the_recordings_lie_beside_the_project(monkeypatch: pytest.MonkeyPatch) 
     beside = CONFIGS.resolve().parents[1] / "shared" / "data"
     monkeypatch.setattr(Path, "is_dir", lambda _path: False)  # the refusal says where it looked
     with pytest.raises(RequestRefused, match=re.escape(f"{beside};")):
-        real_data.data_directory()
+        real_sets.data_directory()
 
 
 def test_the_environment_names_another_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("LONGREACH_DATA", str(tmp_path))
-    assert real_data.data_directory() == tmp_path
+    assert real_sets.data_directory() == tmp_path

@@ -11,24 +11,25 @@ from matplotlib.figure import Figure
 
 from protocol.errors import MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
-from testbed.campaigns.experiment import perform
-from testbed.experiments.paper import ablation, comparison, figures, published, sweep
+from testbed.campaigns.experiment import Finished, perform
+from testbed.experiments.paper import comparison, figures
 from testbed.experiments.paper.campaign import (
     PAPER,
     PaperEyes,
+    PaperPart,
     PaperSettings,
     comparison_cells,
     costs,
     paper_task,
+    paper_tasks,
+    write_comparison,
 )
 from testbed.experiments.paper.comparison import TABLES, compared, conclusions
 from testbed.experiments.paper.measurement import RememberingEyes, bench, measured_on
-from testbed.experiments.paper.report import write_comparison
 from testbed.experiments.paper.tracing import Tracer
 from testbed.lockstep.clock import run
 from testbed.reporting.plots import png
 from testbed.reporting.run_record import beginning
-from testbed.scenarios.scenario import load_scenario
 
 pytestmark = pytest.mark.slow("whole runs of a campaign")
 
@@ -36,8 +37,8 @@ CONFIGS = Path("configs")
 OPENCV = PaperSettings()
 
 
-def task(kind: str, seed: int, *variant: Any, eyes: PaperEyes = PaperEyes.OPENCV) -> Task:
-    return paper_task(CONFIGS, OPENCV._replace(eyes=eyes), kind, seed, *variant)
+def task(kind: str, seed: int, eyes: PaperEyes) -> Task:
+    return paper_task(CONFIGS, OPENCV._replace(eyes=eyes), kind, seed)
 
 
 def line_row(seed: int, x: float, y: float, *, second: float = 30.0, turn: float = 1.5) -> dict[str, Any]:
@@ -62,10 +63,10 @@ def match_row(seed: int, residual: float, error: float, first: float, second: fl
 
 @pytest.mark.parametrize(
     "paper",
-    [p for t in (published.TABLE_2[:5], published.TABLE_4_FIRST, published.TABLE_4_SECOND) for p in t],
+    [p for t in (comparison.TABLE_2[:5], comparison.TABLE_4_FIRST, comparison.TABLE_4_SECOND) for p in t],
     ids=lambda paper: paper.name,
 )
-def test_the_papers_means_are_about_those_of_its_own_measurements(paper: published.Published) -> None:
+def test_the_papers_means_are_about_those_of_its_own_measurements(paper: comparison.Published) -> None:
     # Table 2 lacks its ninth measurement, which its means seem to have in them
     assert np.mean(paper.values) == pytest.approx(paper.mean, rel=0.11)
 
@@ -116,55 +117,25 @@ def test_residuals_that_follow_the_rotation_error_reveal_it() -> None:
     assert not conclusions("table3", shown)[0].holds
 
 
-def test_keys_tell_measurements_apart() -> None:
-    plain, other = task("line", 1), task("line", 1, "no_play", ["plant.payload.mass_kg=10"])
-    assert (plain["key"], other["key"]) == ("line-opencv-1", "line-opencv-no_play-1")
-    assert other["assignments"] == ["plant.payload.mass_kg=10"]
-
-
-def test_every_variant_and_every_swept_value_is_a_configuration() -> None:
-    for name, variant in ablation.VARIANTS.items():
-        for kind in variant.kinds:
-            assert task(kind, 1, name, variant.assignments)["variant"] == name
-    world = load_scenario(CONFIGS, "paper").world(1)
-    for name, swept in sweep.SWEEPS.items():
-        changed = [swept.assignments(value, world) for value in swept.values]
-        assert len({str(assignments) for assignments in changed}) == len(swept.values), name
-        task("match", 1, name, changed[-1])
-
-
-def test_a_swept_mount_keeps_its_axis() -> None:
-    world = load_scenario(CONFIGS, "paper").world(1)
-    (assignment,) = sweep.SWEEPS["mount"].assignments(10.0, world)
-    turned = np.array([float(v) for v in assignment.split("=")[1].strip("[]").split(",")])
-    drawn = np.array(world["scene"]["mount"]["rotation_deg"])
-    assert np.linalg.norm(turned) == pytest.approx(10.0)
-    assert turned @ drawn == pytest.approx(10.0 * np.linalg.norm(drawn))
-
-
-def test_the_ablation_tells_x_and_y_of_every_tables_means() -> None:
-    line, match = line_row(1, 40.0, -70.0), match_row(1, 3.0, 4.0, 20.0, 2.0)
-    means = ablation._means({("", "turn"): [line], ("", "line"): [line], ("", "match"): [match]}, "")
-    assert means == {
-        "T2 turn x °": 1.5, "T2 turn y °": 1.5, "T2 1st x mm": 40.0, "T2 1st y mm": 70.0,
-        "T3 match x mm": 3.0, "T3 match y mm": 3.0,
-        "T4 1st x mm": 20.0, "T4 1st y mm": 20.0, "T4 2nd x mm": 2.0, "T4 2nd y mm": 2.0,
-        "rotation error °": 4.0,
-    }  # fmt: skip
-    unborne = ablation._means({("more_noise", "turn"): [line]}, "more_noise")
-    assert unborne["T2 turn x °"] == 1.5
-    assert math.isnan(unborne["T2 1st x mm"])
+def test_a_part_asks_for_the_measurements_it_is_made_of_alone() -> None:
+    request = CampaignRequest(CONFIGS, Path("unused"), runs=2)
+    every = paper_tasks(request, OPENCV)
+    assert [task["key"] for task in every] == [f"{k}-opencv-{s}" for k in ("line", "match") for s in (1, 2)]
+    one = OPENCV._replace(
+        part=[PaperPart("table3"), PaperPart("fig9")], assignments=["plant.payload.mass_kg=10"]
+    )
+    assert [task["key"] for task in paper_tasks(request, one)] == ["match-opencv-1", "match-opencv-2"]
+    assert paper_tasks(request, one)[0]["assignments"] == ["plant.payload.mass_kg=10"]
 
 
 def test_the_report_has_every_figure_verdict_and_run_and_needs_nothing_beside_it(tmp_path: Path) -> None:
     rows = [line_row(1, 40.0, -70.0), line_row(2, -20.0, 60.0) | {"failure": "measurement.x: <lost>"}]
-    beside = {"table2": compared("table2", rows)}
-    concluded = {"table2": conclusions("table2", rows)}
     request = CampaignRequest(CONFIGS, tmp_path, runs=2)
+    settings = OPENCV._replace(part=[PaperPart("table2")])
+    done = Finished(request, settings, [{"kind": "line"}] * 2, rows, 0)
     figure = Figure()
     figure.subplots().plot([1.0, 2.0])
-    drawn, measured = {"fig5": figure}, {"line": rows}
-    html = write_comparison(request, OPENCV, (beside, concluded), drawn, measured).read_text()
+    html = write_comparison(done, {"fig5": figure}).read_text()
     assert TABLES["table2"].title in html
     assert "OUTSIDE 2" in html
     assert "measurement.x: &lt;lost&gt;" in html

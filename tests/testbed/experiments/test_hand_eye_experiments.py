@@ -10,12 +10,14 @@ from typer.testing import CliRunner
 
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import NoSettings, perform
-from testbed.campaigns.row_file import RowFile
+from testbed.campaigns.rows import RowFile
 from testbed.cli.main import app
-from testbed.experiments.hand_eye import experiments, localisation, scenes, stress
-from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
+from testbed.experiments.hand_eye import localisation, scenes
 from testbed.experiments.hand_eye.guided_campaign import GUIDED, GuidedCampaignSettings
-from testbed.experiments.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
+from testbed.experiments.hand_eye.hua import LOCALISATION, NOISE, LocalisationSettings, NoiseSettings
+from testbed.experiments.hand_eye.noise_sweep import NoiseOn, SweepRow, level_of, noise_sweep
+from testbed.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, STRESS, attempted, rows_of
+from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
 from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.data import random_scene
 from vision_pc.config.choices import Method
@@ -36,10 +38,9 @@ def test_printed_pose_and_table_of_the_paper_are_proper() -> None:
 
 
 def test_small_sweep_reaches_the_bound_and_repeats() -> None:
-    chosen = [Method.HORAUD, Method.DQCR, Method.DQCR_PUBLISHED, Method.ROBUST]
+    chosen = [Method.HORAUD, Method.DQCR, Method.ROBUST]
     sweep = noise_sweep(runs=6, levels=[10], only=chosen)
-    assert sweep.dqcr_largest_difference <= 1e-6
-    rows = {r.method: r for r in sweep.rows}
+    rows = {r.method: r for r in sweep}
     assert rows["dqcr"].rotation_deg == pytest.approx(rows["horaud"].rotation_deg, rel=0.1)
     assert rows["robust"].rotation_deg < 0.4 * rows["dqcr"].rotation_deg
     assert rows["robust"].rotation_over_bound < 1.6
@@ -50,7 +51,8 @@ def test_levels_of_a_campaign_make_the_same_sweep(tmp_path: Path) -> None:
     asked = {"noise_on": "camera-motions", "runs": 2, "seed": 1}
     file = RowFile(tmp_path / "rows.csv")
     levels = [file.append(level_of(asked | {"level": level})) for level in (1, 2)]
-    assert gathered(levels) == noise_sweep(NoiseOn.CAMERA_MOTIONS, 2, (1, 2), 1)
+    rows = [SweepRow(**row) for level in levels for row in level["rows"]]
+    assert rows == noise_sweep(NoiseOn.CAMERA_MOTIONS, 2, (1, 2), 1)
 
 
 @pytest.mark.parametrize("noise_on", [NoiseOn.ROBOT_POSES, NoiseOn.CAMERA_MOTIONS])
@@ -58,10 +60,10 @@ def test_other_noise_is_told_apart(noise_on: NoiseOn) -> None:
     sweep = noise_sweep(
         noise_on, runs=2, levels=[5], only=[Method.DQCR, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST]
     )
-    assert {r.noise_on for r in sweep.rows} == {noise_on.value}
-    assert not any(r.failed for r in sweep.rows)
+    assert {r.noise_on for r in sweep} == {noise_on.value}
+    assert not any(r.failed for r in sweep)
     camera = scenes.bound(scenes.table_1_scene(), scenes.noise(0.05, 0.1))
-    assert sweep.rows[0].bound_rotation_deg != pytest.approx(camera.rotation_deg)
+    assert sweep[0].bound_rotation_deg != pytest.approx(camera.rotation_deg)
 
 
 def test_bounds_scale_with_the_noise() -> None:
@@ -83,13 +85,13 @@ def test_small_localisation_favours_the_robust_solver() -> None:
 
 
 def test_small_stress_has_no_improper_answer() -> None:
-    bad = stress.outliers(4)
+    bad = rows_of(BAD_SAMPLES, *attempted(BAD_SAMPLES, range(4), 1))
     assert not any(r.improper for r in bad)
     robust = next(r for r in bad if r.method == "robust")
     assert robust.found == 1.0
     assert robust.rotation_median_deg < 0.3
-    small = stress.small_rotations(4, only=[Method.ROBUST, Method.DQCR])
-    assert small[0].refused == 0
+    few = attempted(SMALL_ROTATIONS, range(4), 1, [Method.ROBUST, Method.DQCR])
+    assert rows_of(SMALL_ROTATIONS, *few)[0].refused == 0
 
 
 def samples_file(tmp_path: Path) -> tuple[Path, Array]:
@@ -161,7 +163,7 @@ def test_experiment_draws_and_writes(tmp_path: Path) -> None:
     plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
     options = ["--count", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
     options += ["--out", str(tmp_path)]
-    result = CliRunner().invoke(app, ["experiment", "hua-fig7", *options])
+    result = CliRunner().invoke(app, ["experiment", "hua", "--method", "noise", *options])
     assert result.exit_code == 0, result.output
     assert cv2.imread(str(plot)) is not None
     figures = json.loads(report.read_text(encoding="utf-8"))
@@ -173,24 +175,18 @@ def test_experiment_draws_and_writes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("noise_on", list(NoiseOn))
 def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
     request = CampaignRequest(CONFIGS, tmp_path, runs=200)
-    assert perform(experiments.NOISE_SWEEP, request, experiments.SweepSettings(noise_on))
+    assert perform(NOISE, request, NoiseSettings(noise_on))
 
 
 @pytest.mark.experiment
 def test_stress_in_full(tmp_path: Path) -> None:
-    assert perform(experiments.STRESS, CampaignRequest(CONFIGS, tmp_path, runs=1000), NoSettings())
+    assert perform(STRESS, CampaignRequest(CONFIGS, tmp_path, runs=1000), NoSettings())
 
 
 @pytest.mark.experiment
 def test_localisation_in_full(tmp_path: Path) -> None:
     request = CampaignRequest(CONFIGS, tmp_path, runs=50)
-    assert perform(experiments.LOCALISATION, request, experiments.LocalisationSettings())
-
-
-@pytest.mark.experiment
-def test_intrinsics_in_full(tmp_path: Path) -> None:
-    request = CampaignRequest(CONFIGS, tmp_path, runs=3)
-    assert perform(experiments.INTRINSICS, request, experiments.IntrinsicsSettings())
+    assert perform(LOCALISATION, request, LocalisationSettings())
 
 
 @pytest.mark.experiment

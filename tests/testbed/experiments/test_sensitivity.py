@@ -10,19 +10,26 @@ from scipy.stats import sobol_indices, uniform
 
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import perform
-from testbed.campaigns.typed_rows import XYZ
-from testbed.experiments.positioning.worlds import WORLDS, WorldName
-from testbed.experiments.sensitivity import mixed_worlds
-from testbed.experiments.sensitivity import sobol as sobol_module
-from testbed.experiments.sensitivity.campaign import (
+from testbed.campaigns.rows import XYZ
+from testbed.experiments.positioning import mixed_worlds
+from testbed.experiments.positioning.mixed_worlds import (
+    NOISE,
+    OTHER,
+    Runs,
+    limited,
+    mixed,
+    sobol,
+    source_of,
+    sources_of,
+)
+from testbed.experiments.positioning.sensitivity import (
     SENSITIVITY,
     SensitivityRow,
     SensitivitySettings,
     runs_of,
     sensitivity_tasks,
 )
-from testbed.experiments.sensitivity.mixed_worlds import NOISE, OTHER, mixed, source_of, sources_of
-from testbed.experiments.sensitivity.sobol import Runs, limited, sobol
+from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from tests.support.paths import CONFIGS
 
 A_, B_ = 7.0, 0.1  # of Ishigami's function
@@ -79,7 +86,7 @@ def test_of_several_numbers_each_counts_by_its_variance() -> None:
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sobol_module, "_RESAMPLES", 200)
+    monkeypatch.setattr(mixed_worlds, "_RESAMPLES", 200)
     _, total, _ = known()
     inside = []
     for seed in range(40):

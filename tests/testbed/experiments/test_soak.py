@@ -11,11 +11,15 @@ from pydantic import TypeAdapter
 from plant_emulator.core.faults.kinds import FAULTS, Fault
 from protocol.errors import LinkLost, LongreachError
 from testbed.experiments.robustness.soak import duty as duty_module
-from testbed.experiments.robustness.soak.disturbances import DISTURBANCES
 from testbed.experiments.robustness.soak.duty import Duty
-from testbed.experiments.robustness.soak.incidents import AFTERMATH_S, OVERLOAD, Journal
-from testbed.experiments.robustness.soak.report import LONG_ENOUGH_MIN, checks
-from testbed.experiments.robustness.soak.resources import Growth, ResourceSample, growth
+from testbed.experiments.robustness.soak.incidents import AFTERMATH_S, DISTURBANCES, OVERLOAD, Journal
+from testbed.experiments.robustness.soak.resources import (
+    LONG_ENOUGH_MIN,
+    Growth,
+    ResourceSample,
+    checks,
+    growth,
+)
 from testbed.realtime.rest_rig import JSON, RestRig
 from testbed.reporting.console import Bar
 

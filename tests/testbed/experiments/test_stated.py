@@ -12,8 +12,7 @@ from nominal_arm.description import JOINT_NAMES
 from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
 from protocol.errors import ConfigurationError
 from testbed.experiments.positioning.corrected_run import adapting, settings_of
-from testbed.experiments.positioning.stated import STATED
-from testbed.experiments.positioning.worlds import ARMS
+from testbed.experiments.positioning.worlds import ARMS, STATED
 from tests.support.paths import CONFIGS
 
 

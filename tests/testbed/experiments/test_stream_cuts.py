@@ -1,8 +1,8 @@
-"""A few cuts of the reference stream; ``longreach experiment stream-cuts`` makes 459."""
+"""A few cuts of the reference stream; ``longreach experiment robustness`` makes 459."""
 
 import pytest
 
-from testbed.experiments.robustness.stream_cut_run import COMMAND_MS, FLOW_MS, one_cut
+from testbed.experiments.robustness.stream_cuts import COMMAND_MS, FLOW_MS, one_cut
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 

@@ -15,7 +15,7 @@ from plant_emulator.core.camera.scene import R_WO_FACING_ARM
 from plant_emulator.core.camera.wall.bores import hole_places
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Check, Finished
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.rows import typed
 from testbed.experiments.positioning.worlds import WorldName
 from testbed.experiments.targets import hole_drives
 from testbed.experiments.targets.drawn_walls import Aspect, drawn_wall

@@ -7,8 +7,8 @@ import pytest
 
 from protocol.errors import ConfigurationError
 from testbed.campaigns.experiment import Check, Finished
-from testbed.experiments.identification import drawn_plants
-from testbed.experiments.identification.drawn_plants import DrawSettings, IdentifiedRow, draw_verdict
+from testbed.experiments.robustness import identification as drawn_plants
+from testbed.experiments.robustness.identification import DrawSettings, IdentifiedRow, draw_verdict
 from tests.support.paths import CONFIGS
 
 GOOD = IdentifiedRow(1, 36, 35, 1.0, 0, 2.5, "lift play", 1.0, 0.9985, -0.5, 140, 0.1, 0.9, cpu_s=60.0)
@@ -39,5 +39,5 @@ def test_the_experiment_refuses_what_the_command_refuses(monkeypatch: pytest.Mon
     for name, answer in answers.items():
         monkeypatch.setattr(drawn_plants, name, lambda *_args, answer=answer: answer)
     with pytest.raises(ConfigurationError) as caught:
-        drawn_plants.identified_plant(CONFIGS, {"seed": 1, "valve_set": "servo", "tuned": False})
+        drawn_plants.identified_plant(CONFIGS, {"seed": 1, "valve_set": "servo"})
     assert caught.value.cause == "identification.not_converged"

@@ -13,15 +13,12 @@ from protocol.errors import ConfigurationError
 from testbed.cli import identify
 from testbed.cli.options import IdentifyOptions
 from testbed.identification.checks import Machine, check_recording
-from testbed.identification.emulated import FINE_STEP_MS, record
-from testbed.identification.excitation import Piece
-from testbed.identification.findings import findings
-from testbed.identification.fit import Identified, Simple, problem_of
+from testbed.identification.excitation import FINE_STEP_MS, Piece, record
+from testbed.identification.findings import findings, write_plant_file
+from testbed.identification.fit import Identified, Simple, problem_of, reported
 from testbed.identification.free_run import measured, predicted
-from testbed.identification.keeping import reported
+from testbed.identification.operating import PressureFit
 from testbed.identification.parameters import base_of, changed, parameters_of
-from testbed.identification.plant_file import write_plant_file
-from testbed.identification.pressure_fit import PressureFit
 from testbed.identification.problem import FitProblem, signals
 from testbed.identification.recording import MotionRecording
 from testbed.identification.shooting import Fit

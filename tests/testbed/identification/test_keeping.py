@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from testbed.identification.keeping import IDENTIFIED_BELOW, keep_untold
+from testbed.identification.fit import IDENTIFIED_BELOW, keep_untold
 
 
 def _fitted(rows: np.ndarray, truth: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

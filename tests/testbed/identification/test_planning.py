@@ -9,8 +9,7 @@ from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from testbed.identification.checks import Machine
-from testbed.identification.emulated import record
-from testbed.identification.excitation import Piece
+from testbed.identification.excitation import Piece, record
 from testbed.identification.parameters import parameters_of
 from testbed.identification.planning import Informed, beyond_limits, chosen, informed, not_told
 

@@ -11,8 +11,7 @@ from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
 from testbed.identification.checks import Machine, check_recording
-from testbed.identification.emulated import FINE_STEP_MS, record
-from testbed.identification.excitation import Piece, held_out, standard, words
+from testbed.identification.excitation import FINE_STEP_MS, Piece, held_out, record, standard, words
 from testbed.identification.recording import MotionRecording, read_recording, write_recording
 
 MACHINE = Machine("an arm", "0123456789abcdef", "servo")

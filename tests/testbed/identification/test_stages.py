@@ -9,9 +9,8 @@ from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
 from testbed.identification.checks import Machine, check_recording
-from testbed.identification.drive import drive_of
-from testbed.identification.emulated import FINE_STEP_MS, record
-from testbed.identification.excitation import Piece
+from testbed.identification.compiled_run import drive_of
+from testbed.identification.excitation import FINE_STEP_MS, Piece, record
 from testbed.identification.fit import identify, problem_of, simple_stages
 from testbed.identification.free_run import measured, predicted, start_of
 from testbed.identification.operating import file_model, operating

@@ -13,7 +13,7 @@ from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.errors import ConfigurationError, MeasurementFailed
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.rows import typed
 from testbed.experiments.positioning.eyes_measure import MeasuredRow, parameters
 from testbed.lockstep.frames import SimulatedFrame
 from testbed.lockstep.simulated_measurements import (

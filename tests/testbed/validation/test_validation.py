@@ -1,9 +1,15 @@
 """Each family of the validation product, as a test; and the product's own arithmetic."""
 
+from pathlib import Path
+
 import pytest
 
-from testbed.validation.case import ValidationCase
-from testbed.validation.plant import FAMILIES
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import NoSettings, perform
+from testbed.validation import known_answers
+from testbed.validation.known_answers import FAMILIES, KNOWN_ANSWERS
+from testbed.validation.oracles import oracle
+from testbed.validation.plant_rig import ValidationCase
 from tests.support.paths import CONFIGS
 
 LEAST_CASES = {1: 8, 2: 4, 3: 2, 4: 2, 5: 1, 6: 4, 7: 4, 8: 6, 9: 2, 10: 3, 11: 5, 12: 4, 13: 8, 14: 3, 15: 4,
@@ -39,3 +45,20 @@ def test_bounds_are_one_sided() -> None:
     least = most._replace(relation="at_least")
     assert not least.passed
     assert least._replace(obtained=1.0).passed
+
+
+def test_what_needs_no_oracle_is_validated_and_the_rest_is_said_to_be_left_out(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    case = ValidationCase(1, "right", "m", 1.0, 1.0, 0.1, "geometry")
+
+    def compared(config_dir: Path) -> list[ValidationCase]:
+        oracle("no_such_oracle")
+        return []
+
+    families = {1: ("geometry", lambda config_dir: [case]), 2: ("accelerations", compared)}
+    request = CampaignRequest(CONFIGS, tmp_path, workers=0)
+    for chosen, passed in ((families, False), ({1: families[1]}, True)):
+        monkeypatch.setattr(known_answers, "FAMILIES", chosen)
+        assert perform(KNOWN_ANSWERS, request, NoSettings()) is passed
+        assert "1 of 1" in capsys.readouterr().out

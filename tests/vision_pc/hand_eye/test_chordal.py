@@ -1,14 +1,18 @@
 """The chordal problem: proven, global, and not fooled where local searches are."""
 
+import clarabel
 import numpy as np
 import pytest
+import scipy.sparse
 
+from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import chordal
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.result import Certificate
 from vision_pc.core.se3 import Array
 
 NOISE = scenes.noise(0.1, 0.5)
@@ -83,3 +87,24 @@ def test_proof_fails_at_another_stationary_point() -> None:
     v = np.concatenate([wrong.ravel(), Z[:3, :3].ravel(), [1.0]])
     zero = np.zeros(len(constraints))
     assert not chordal._certificate(problem.M, v, zero, constraints, np.eye(19)).holds
+
+
+def test_a_certificate_can_fail() -> None:
+    assert Certificate("", -1e-12, 1e-12, 0.0, 1).holds
+    assert not Certificate("", -1e-6, 1e-12, 0.0, 1).holds  # a saddle or another optimum is lower
+    assert not Certificate("", 0.0, 1e-3, 0.0, 1).holds  # not stationary
+
+
+def test_triangles_are_an_isometry() -> None:
+    rng = np.random.default_rng(5)
+    A, B = rng.normal(size=(2, 6, 6))
+    A, B = A + A.T, B + B.T
+    assert chordal.svec(A) @ chordal.svec(B) == pytest.approx(float(np.sum(A * B)))
+    np.testing.assert_allclose(chordal.smat(chordal.svec(A), 6), A, atol=1e-15)
+
+
+def test_an_unsolvable_program_is_an_error() -> None:
+    A = scipy.sparse.csc_matrix(np.array([[1.0], [-1.0]]))
+    with pytest.raises(MeasurementFailed) as caught:  # x ≤ −1 and x ≥ 1
+        chordal.sdp_solved(np.array([1.0]), A, np.array([-1.0, -1.0]), [clarabel.NonnegativeConeT(2)])
+    assert caught.value.cause == "measurement.hand_eye.sdp"

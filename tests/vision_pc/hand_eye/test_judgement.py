@@ -8,7 +8,7 @@ from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
-from vision_pc.core.hand_eye.solvers import judgement, methods, readings, scale
+from vision_pc.core.hand_eye.solvers import judgement, methods, readings
 from vision_pc.core.hand_eye.solvers.judgement import JudgementLimits
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
 
@@ -45,7 +45,7 @@ def test_scale_is_told_with_an_honest_sigma() -> None:
     for seed in range(30):
         pairs, scene = noisy_pairs([65, seed], 12)
         equations = Equations(pairs.H, scaled(pairs, 1.0 / 1.03).P, np.ones(12))
-        found, shift = scale.refined(equations, scene.X, scene.Z, n)
+        found, shift = readings.refined_scale(equations, scene.X, scene.Z, n)
         assert found.factor == pytest.approx(1.03, abs=0.01)
         assert shift == pytest.approx(0.5e-3, rel=0.5)
         errors.append((found.factor - 1.03) / found.std)

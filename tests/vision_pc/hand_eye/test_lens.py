@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye import camera_share, scenes
+from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import KnownLens, PosePairs, pose_pairs
+from vision_pc.core.hand_eye.samples import CornerViews, KnownLens, PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import lens, methods
-from vision_pc.core.hand_eye.solvers.robust import RobustSettings
+from vision_pc.core.hand_eye.solvers.methods import RobustSettings
+from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.zhang_intrinsics import BoardView
 from vision_pc.core.se3 import Array
 
 
@@ -54,9 +56,38 @@ def test_the_share_is_what_a_wrong_camera_matrix_does_to_x(unknown: tuple[float,
 
 
 def test_the_error_is_what_the_covariance_says_when_the_camera_is_estimated() -> None:
-    rows = [camera_share.drawn(seed) for seed in range(3)]
-    assert np.mean([row.nees_samples for row in rows]) > 30.0
-    assert 0.5 < np.mean([row.nees for row in rows]) < 15.0
+    of_samples, with_lens = np.mean([squared_errors(seed) for seed in range(3)], axis=0)
+    assert of_samples > 30.0
+    assert 0.5 < with_lens < 15.0
+
+
+def squared_errors(seed: int) -> tuple[float, float]:
+    """Squared error of X over its covariance, without and with the camera matrix's share.
+
+    The camera matrix comes from the pictures of the same calibration.
+    """
+    rng = np.random.default_rng([41, seed])
+    scene = scenes.viewing_scene(rng, 20, distance_m=0.6, tilt_deg=35.0)
+    rows, columns = np.mgrid[0:7, 0:10]
+    points = np.stack([columns.ravel() - 4.5, rows.ravel() - 3.0, np.zeros(70)], axis=1) * 0.025
+    K, distortion = np.array([[1050.0, 0.0, 655.0], [0.0, 1050.0, 352.0], [0.0, 0.0, 1.0]]), np.zeros(5)
+    pixels = []
+    for P in scene.P():
+        seen = cv2.projectPoints(points, cv2.Rodrigues(P[:3, :3])[0], P[:3, 3], K, distortion)[0]
+        pixels.append(seen.reshape(-1, 2) + rng.normal(size=(len(points), 2)) * 0.15)
+    found = zhang.calibrate([BoardView(str(k), points, seen) for k, seen in enumerate(pixels)], 1280, 720)
+    hand = scenes.noise(0.01, 0.05, robot=True)
+    turn = stacks.exp_so3(rng.normal(size=(20, 3)) * hand.robot_rotation)
+    shift = rng.normal(size=(20, 3)) * hand.robot_translation
+    X_BT = stacks.transform(scene.X_BT[:, :3, :3] @ turn, scene.X_BT[:, :3, 3] + shift)
+    corners = CornerViews(points, np.stack(pixels), found.K, found.distortion)
+    pairs = pose_pairs(X_BT, found.X_CB, corners=corners)
+    result = methods.solve(pairs)
+    assert result.covariance is not None
+    of_lens = lens.share(pairs, result, KnownLens(found.K, found.distortion, found.covariance))
+    error = se3.local(result.X, scene.X)
+    narrow, wide = (np.linalg.solve(c, error) for c in (result.covariance, result.covariance + of_lens))
+    return float(error @ narrow), float(error @ wide)
 
 
 def test_without_a_covariance_a_usual_lens_is_reckoned_in_and_said() -> None:

@@ -11,10 +11,10 @@ from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.hand_eye.solvers import consensus, methods
+from vision_pc.core.hand_eye.solvers.methods import RobustSettings
 from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
-from vision_pc.core.hand_eye.solvers.observability import ObservabilityLimits, verdict
-from vision_pc.core.hand_eye.solvers.robust import RobustSettings
+from vision_pc.core.hand_eye.solvers.result import ObservabilityLimits, verdict
 
 
 @pytest.mark.parametrize(("samples", "bad"), [(15, 2), (15, 5), (30, 12)])

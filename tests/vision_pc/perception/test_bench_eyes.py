@@ -11,7 +11,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye import real_data
+from testbed.experiments.hand_eye import real_sets
 from tests.vision_pc.perception.test_markers import Corners, measured_corners, object_markers, tool_marker
 from tests.vision_pc.perception.test_watch import World
 from tests.vision_pc.rendering import facing, render
@@ -126,7 +126,7 @@ def test_every_marker_of_moveits_pictures_is_found_and_refined(
 ) -> None:
     """Real photographs; they are no part of the repository, and their absence is told."""
     try:
-        file = real_data.data_directory() / "moveit" / name
+        file = real_sets.data_directory() / "moveit" / name
     except RequestRefused as absent:
         pytest.skip(str(absent))
     picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
-from testbed.experiments.hand_eye.intrinsics_experiment import detect, row
+from testbed.hand_eye.board_views import detect, intrinsics_row
+from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
 from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard
@@ -49,8 +49,8 @@ def test_rendered_camera_is_found(pictures: list[tuple[str, Image]], detector: D
     views, missed = detect(pictures, BOARD, detector)
     assert missed == ()
     found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
-    line = row("rendered", detector.value, found, missed, CAMERA)
-    assert line.fx_error_percent == pytest.approx(0.0, abs=0.6)
+    line = intrinsics_row("rendered", detector.value, found, missed)
+    assert line.fx_px == pytest.approx(CAMERA.K[0, 0], rel=0.006)
     assert line.rms_px < (0.4 if detector is Detector.CLASSIC else 0.12)
     assert abs(found.K[0, 0] - CAMERA.K[0, 0]) < 5.0 * found.std_px[0]
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)[:4]), found.std_px, rtol=0.05)

@@ -14,12 +14,9 @@ from typing import Any, NamedTuple, Protocol
 from foundation.secret_source import read_secret
 from protocol.errors import LongreachError
 from testbed.campaigns.experiment import show_checks
-from testbed.experiments.robustness.soak.clients import FOLLOWERS, Follower, Poller
-from testbed.experiments.robustness.soak.disturbances import RandomFaults
-from testbed.experiments.robustness.soak.duty import Duty
-from testbed.experiments.robustness.soak.incidents import Journal
-from testbed.experiments.robustness.soak.report import checks, show
-from testbed.experiments.robustness.soak.resources import Growth, ResourceWatch, growth
+from testbed.experiments.robustness.soak.duty import FOLLOWERS, Duty, Follower, Poller
+from testbed.experiments.robustness.soak.incidents import Journal, RandomFaults
+from testbed.experiments.robustness.soak.resources import Growth, ResourceWatch, checks, growth, show
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig
 from testbed.realtime.up import end_on_sigterm, started

@@ -9,7 +9,8 @@ global optimum: S = M − Σ λ_k A_k is positive semidefinite and S v = 0.
 """
 
 import functools
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import clarabel
 import numpy as np
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.solvers import sdp
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.solvers.result import Certificate
 from vision_pc.core.se3 import Array, nearest_rotation
@@ -75,11 +75,11 @@ def solve(chordal: ChordalProblem) -> tuple[Array, Array, Certificate]:
     Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the semidefinite program cannot be solved.
     """
     svec_constraints, constraints = _constraints()
-    b = sdp.svec(chordal.M)
+    b = svec(chordal.M)
     q = np.zeros(len(constraints))
     q[-1] = -1.0  # maximise the multiplier of v_18² = 1: the lower bound
-    solution = sdp.solved(q, svec_constraints, b, [clarabel.PSDTriangleConeT(_SIZE)])
-    moments = sdp.smat(solution.dual, _SIZE)
+    solution = sdp_solved(q, svec_constraints, b, [clarabel.PSDTriangleConeT(_SIZE)])
+    moments = smat(solution.dual, _SIZE)
     R_X, R_Z = _rounded(moments)
     R_X, R_Z = _polished(chordal.M, R_X, R_Z)
     v = _stacked(R_X, R_Z)
@@ -156,7 +156,7 @@ def _constraints() -> tuple[scipy.sparse.csc_matrix, Array]:
     last[_ONE, _ONE] = 1.0
     matrices.append(last)
     stack = np.stack(matrices)
-    return scipy.sparse.csc_matrix(np.stack([sdp.svec(A) for A in stack], axis=1)), stack
+    return scipy.sparse.csc_matrix(np.stack([svec(A) for A in stack], axis=1)), stack
 
 
 def _orthonormal(first: Indices, second: Indices, same: bool) -> Array:
@@ -176,3 +176,54 @@ def _handed(at: Indices, column: int, axis: int) -> Array:
         A[first, second] += sign
         A[second, first] += sign
     return A
+
+
+_ACCURACY = 1e-10
+
+
+class SdpSolution(NamedTuple):
+    """``primal`` x and ``dual`` z of the program above, and the optimal value."""
+
+    primal: Array
+    dual: Array
+    value: float
+
+
+def svec(S: Array) -> Array:
+    """The upper triangle of a symmetric matrix, column by column, off-diagonals times √2 (an isometry)."""
+    j, i = np.tril_indices(len(S))
+    return np.asarray(np.where(i == j, 1.0, math.sqrt(2.0)) * S[i, j])
+
+
+def smat(s: Array, size: int) -> Array:
+    """The symmetric matrix of a scaled triangle; inverse of ``svec``."""
+    j, i = np.tril_indices(size)
+    S = np.zeros((size, size))
+    S[i, j] = s * np.where(i == j, 1.0, math.sqrt(0.5))
+    S[j, i] = S[i, j]
+    return S
+
+
+def sdp_solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> SdpSolution:
+    """The optimum. Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver does not reach it.
+
+    One thread, so that reruns are bit-identical; no dynamic regularisation, which costs four digits here.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _ACCURACY
+    settings.max_threads = 1
+    settings.dynamic_regularization_enable = False
+    P = scipy.sparse.csc_matrix((len(q), len(q)))
+    try:
+        result = clarabel.DefaultSolver(P, q, A, b, cones, settings).solve()
+    except BaseException as error:  # a panic of its Rust code is not an Exception
+        if type(error).__name__ != "PanicException":
+            raise
+        raise MeasurementFailed(
+            "measurement.hand_eye.sdp", f"the semidefinite solver broke: {error}"
+        ) from error
+    status = str(result.status)
+    if status not in ("Solved", "AlmostSolved"):
+        raise MeasurementFailed("measurement.hand_eye.sdp", f"the semidefinite program ended as {status}")
+    return SdpSolution(np.array(result.x), np.array(result.z), float(result.obj_val))

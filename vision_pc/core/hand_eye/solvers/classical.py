@@ -1,4 +1,4 @@
-"""The classical solvers: OpenCV's on poses, guarded against its defects, and the same on bare motions.
+"""Classical solvers: OpenCV's on poses, guarded against its defects, the same on bare motions; DQCR.
 
 OpenCV 4.14 returns NaN (Daniilidis), reflections (Park) or, after a line on standard error, a rotation that
 has nothing to do with the data (Tsai, which drops motions under 15 degrees). Here a result is a proper pose
@@ -8,7 +8,7 @@ or an error.
 import math
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,10 +16,13 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
-from vision_pc.core.hand_eye.solvers import dual_quaternion
-from vision_pc.core.hand_eye.solvers.motions import DualQuaternions, Motions, dual_quaternions
-from vision_pc.core.hand_eye.solvers.quaternion_algebra import translation_of_dual
-from vision_pc.core.hand_eye.solvers.result import SolverEstimate
+from vision_pc.core.hand_eye.solvers.motions import (
+    DualQuaternions,
+    Motions,
+    dual_quaternions,
+    translation_of_dual,
+)
+from vision_pc.core.hand_eye.solvers.result import Certificate, SolverEstimate
 from vision_pc.core.se3 import Array, nearest_rotation
 
 _TSAI_LEAST = math.radians(15.0)  # OpenCV's Tsai drops motions outside these
@@ -130,7 +133,7 @@ def from_motions(motions: Motions, method: Classical) -> Array:
     elif method is Classical.PARK:
         R = _park_rotation(motions)
     elif method is Classical.HORAUD:
-        R = stacks.rotation_from_quaternion(np.linalg.eigh(dual_quaternion.forms(dual).RR)[1][:, 0])
+        R = stacks.rotation_from_quaternion(np.linalg.eigh(forms(dual).RR)[1][:, 0])
     else:
         raise ValueError(f"{method} needs poses")
     return _proper(R, _translation(motions, R), method)
@@ -176,3 +179,40 @@ def _daniilidis(dual: DualQuaternions) -> Array:
     q = max(candidates, key=lambda c: float(c[:4] @ c[:4]))
     q = q / np.linalg.norm(q[:4])
     return stacks.transform(stacks.rotation_from_quaternion(q[:4]), translation_of_dual(q[:4], q[4:]))
+
+
+class Forms(NamedTuple):
+    """The quadratic forms of DQCR's two problems over g and g': Σ RᵀR and Σ RᵀD, (4, 4) each."""
+
+    RR: Array
+    RD: Array
+
+
+def forms(motions: DualQuaternions) -> Forms:
+    """The quadratic forms of these motions."""
+    R, D = motions.rotation_rows(), motions.dual_rows()
+    return Forms(*(np.einsum("mij,mik->jk", R, second) for second in (R, D)))
+
+
+def dqcr(f: Forms) -> tuple[Array, Certificate]:
+    """X (4, 4) by DQCR's two problems in closed form, and the certificate of problem 1.
+
+    With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i =
+    A(x'_i) − B(y'_i): problem 1, (27), is min Σ ‖R_i g‖² with gᵀg = 1, problem 2, (31), min Σ ‖R_i g' + D_i
+    g‖² with gᵀg' = 0 (Hua et al. 2024, section 4.2). The first is a 4×4 eigenvalue problem and the second
+    one of linear least squares, so the published moment relaxations are tight and have the same answer.
+    """
+    values, vectors = np.linalg.eigh(f.RR)
+    g = vectors[:, 0]
+    scale = float(np.trace(f.RR)) / 4.0
+    system = np.zeros((5, 5))
+    system[:4, :4] = f.RR / scale
+    system[:4, 4] = system[4, :4] = g
+    g_dual = np.linalg.solve(system, np.append(-f.RD @ g / scale, 0.0))[:4]
+    S = f.RR - values[0] * np.eye(4)
+    least, largest = float(np.linalg.eigvalsh(S)[0]), float(values[-1])
+    certificate = Certificate(
+        "eigenvalue problem, KKT", least / largest, float(np.abs(S @ g).max()) / largest, 0.0, rank=1
+    )
+    X = stacks.transform(stacks.rotation_from_quaternion(g), translation_of_dual(g, g_dual))
+    return X, certificate

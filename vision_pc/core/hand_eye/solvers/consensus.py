@@ -4,6 +4,9 @@ Truncated least squares, min Σ min(r_i², c²), reached by a sequence of proble
 al. 2020, "Graduated non-convexity for robust spatial perception"). The threshold c needs the noise; if it
 is not given, the least quantile of residuals over triples of samples gives it (Rousseeuw 1984), with no
 random choice of triples.
+
+Each problem begins with a closed form: the rotation of X from a weighted eigenvalue problem over all pairs of
+samples, that of Z as a chordal mean, both translations from least squares. It has no local minima.
 """
 
 import itertools
@@ -15,13 +18,13 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
-from vision_pc.core.hand_eye.solvers import separable
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.motions import Motions, dual_quaternions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
-from vision_pc.core.hand_eye.solvers.separable import Parts
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, nearest_rotation
 
 LEAST_FOR_OUTLIERS = 5  # samples: with fewer, three that agree by chance outvote the others
 _TRIPLES = 300
@@ -31,6 +34,49 @@ _MEDIAN_NORM = 1.5382  # median length of a 3-vector of unit normals
 _GROWTH = 2.0
 _STEPS = 3  # of Gauss-Newton a round: the weights move on before more of them pay
 _ROUNDS = 80
+
+
+_RIDGE = 1e-12
+
+
+class Parts(NamedTuple):
+    """What the samples contribute, ready to be weighted: see ``parts``."""
+
+    H: Array
+    P: Array
+    rotation_forms: Array  # (n n, 16): 4×4 each, symmetric in the samples, zero on the diagonal
+    translation_rows: Array  # (n, 3, 6): [I, -R_Hᵀ] over (t_X, t_Z)
+    translation_forms: Array  # (n, 36): 6×6 each, the squares of those rows
+
+
+def parts(pairs: PosePairs, motions: Motions) -> Parts:
+    """The weightable parts of ``pairs``; ``motions`` are those of all pairs of samples."""
+    n = len(pairs)
+    rows = dual_quaternions(motions).rotation_rows()
+    forms = np.zeros((n, n, 4, 4))
+    i, j = np.array(motions.first), np.array(motions.second)
+    forms[i, j] = forms[j, i] = np.swapaxes(rows, -1, -2) @ rows
+    R_H_transposed = np.swapaxes(pairs.H[:, :3, :3], -1, -2)
+    rows_t = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -R_H_transposed], axis=-1)
+    squares = np.swapaxes(rows_t, -1, -2) @ rows_t
+    return Parts(pairs.H, pairs.P, forms.reshape(n * n, 16), rows_t, squares.reshape(n, 36))
+
+
+def start_of(p: Parts, weights: Array) -> tuple[Array, Array]:
+    """X and Z (..., 4, 4) for sample ``weights`` (..., n); leading dimensions are independent problems."""
+    lead = weights.shape[:-1]
+    pair_weights = (weights[..., :, None] * weights[..., None, :]).reshape(*lead, -1)
+    form = (pair_weights @ p.rotation_forms).reshape(*lead, 4, 4)
+    R_X = stacks.rotation_from_quaternion(np.linalg.eigh(form)[1][..., 0])
+    turned = p.H[:, :3, :3] @ R_X[..., None, :, :] @ p.P[:, :3, :3]
+    R_Z = nearest_rotation(np.sum(weights[..., None, None] * turned, axis=-3))
+    rows = p.translation_rows
+    right = rows[:, :, 3:] @ p.H[:, :3, 3, None] - R_X[..., None, :, :] @ p.P[:, :3, 3, None]
+    normal = (weights @ p.translation_forms).reshape(*lead, 6, 6)
+    normal = normal + _RIDGE * weights.sum(axis=-1)[..., None, None] * np.eye(6)
+    gathered = np.sum(weights[..., None, None] * (np.swapaxes(rows, -1, -2) @ right), axis=-3)
+    t = np.linalg.solve(normal, gathered)[..., 0]
+    return stacks.transform(R_X, t[..., :3]), stacks.transform(R_Z, t[..., 3:])
 
 
 class Consensus(NamedTuple):
@@ -76,7 +122,7 @@ def _refined(
 ) -> tuple[Array, Array]:
     """The weighted optimum from the closed-form start, or from the previous estimate if that is better."""
     equations = Equations(p.H, p.P, weights, setup)
-    start = separable.solve(p, weights)
+    start = start_of(p, weights)
     if previous is not None and ml.cost(equations, *previous, noise) < ml.cost(equations, *start, noise):
         start = previous
     estimate = ml.maximize(equations, *start, noise, steps=_STEPS)
@@ -98,7 +144,7 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     n = len(p.H)
     wanted = (n + 4) // 2
     weights = triple_weights(n)
-    X, Z = separable.solve(p, weights)
+    X, Z = start_of(p, weights)
     turns, shifts = misfits(p, X, Z)
     score = _quantile(turns, wanted) * _quantile(shifts, wanted)
     best = [_concentrated(p, setup, X[k], Z[k], wanted) for k in np.argsort(score, kind="stable")[:_BEST]]

@@ -13,12 +13,11 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Method, Setup
 from vision_pc.core.hand_eye.samples import PosePairs
-from vision_pc.core.hand_eye.solvers import lens, methods, readings, scale
+from vision_pc.core.hand_eye.solvers import lens, methods, readings
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.noise import few_sample_factor
-from vision_pc.core.hand_eye.solvers.readings import Reading
+from vision_pc.core.hand_eye.solvers.readings import Reading, Scale
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
-from vision_pc.core.hand_eye.solvers.scale import Scale
 
 _AS_WELL = 1.5  # times the least misfit: chance, not a better reading
 _SCALES = {
@@ -212,7 +211,7 @@ def _scale(pairs: PosePairs, result: HandEyeResult) -> Scale:
     noise, found = result.residual_noise(), Scale(1.0, math.inf)
     fitted = math.sqrt(6.0 * len(kept) / max(6.0 * len(kept) - 13.0, 1.0))
     for _ in range(2):
-        found, shift = scale.refined(equations, result.X, result.Z, noise)
+        found, shift = readings.refined_scale(equations, result.X, result.Z, noise)
         noise = noise._replace(camera_translation=fitted * shift)
     return found._replace(std=found.std * math.sqrt(few_sample_factor(len(kept))))
 

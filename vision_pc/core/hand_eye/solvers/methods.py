@@ -1,25 +1,129 @@
-"""One entrance to all hand-eye solvers: checked samples in, a calibration with its verdict out."""
+"""One entrance to all hand-eye solvers: checked samples in, a calibration with its verdict out.
+
+The robust solver agrees on the good samples, proves the global optimum, then maximises the likelihood:
+
+1. Graduated non-convexity finds the samples that agree (``consensus``), with a robust guess of the noise.
+2. The chordal problem over those samples is solved globally and certified (``chordal``).
+3. Maximum likelihood from there, noise by the restricted likelihood (``noise``), and the covariance.
+4. With that better noise the samples are tested again; 2 to 4 repeat until the set stays the same.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
-from vision_pc.core.hand_eye.solvers import chordal, classical, dual_quaternion, robust
+from vision_pc.core.hand_eye.solvers import chordal, classical, consensus
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
-from vision_pc.core.hand_eye.solvers.classical import Classical
+from vision_pc.core.hand_eye.solvers.classical import Classical, dqcr, forms
+from vision_pc.core.hand_eye.solvers.consensus import parts
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions, dual_quaternions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
-from vision_pc.core.hand_eye.solvers.observability import Observability, ObservabilityLimits, verdict
-from vision_pc.core.hand_eye.solvers.result import HandEyeResult, SolverEstimate
-from vision_pc.core.hand_eye.solvers.robust import RobustSettings
+from vision_pc.core.hand_eye.solvers.result import (
+    Certificate,
+    HandEyeResult,
+    Observability,
+    ObservabilityLimits,
+    SolverEstimate,
+    verdict,
+)
 from vision_pc.core.se3 import Array
 
 CLASSICAL = {Method(c.value): c for c in Classical}
+
+
+_THRESHOLD = 24.1  # 99.95 % of χ² with 6 degrees of freedom
+_PASSES = 4
+
+
+class RobustSettings(NamedTuple):
+    """``noise`` if it is known (else it is estimated), whose it is, whether bad samples are left out.
+
+    ``least_share`` of the samples must agree, else there is no result.
+    """
+
+    noise: Noise | None = None
+    source: NoiseSource = NoiseSource.BOTH
+    reject: bool = True
+    least_share: float = 0.5
+
+
+def robust(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> SolverEstimate:
+    """The calibration by the module's four steps.
+
+    Raises MeasurementFailed: ``measurement.hand_eye.no_consensus`` when too few samples agree, ``.sdp``,
+    ``.no_solution``, ``.singular`` from the steps.
+    """
+    n = len(pairs)
+    p = parts(pairs, motions)
+    notes: list[str] = []
+    reject = settings.reject and n >= consensus.LEAST_FOR_OUTLIERS
+    if settings.reject and not reject:
+        notes.append(f"{n} samples are too few to tell a bad one; all are used")
+    noise, weights = settings.noise, np.ones(n)
+    if noise is None:
+        noise = consensus.guessed_noise(p, pairs.setup) if reject else Noise(*noise_model.USUAL_RATIO)
+    if reject:
+        weights = consensus.graduated(p, pairs.setup, noise, _THRESHOLD).weights
+        _demand_consensus(weights, settings, pairs)
+    for _ in range(_PASSES):
+        estimate, noise, certificate = _certified(pairs, weights, noise, settings)
+        squares = consensus.normalised_squares(p, pairs.setup, noise, estimate.X, estimate.Z)
+        again = (squares <= _THRESHOLD).astype(float) if reject else weights
+        if (again == weights).all():
+            break
+        _demand_consensus(again, settings, pairs)
+        weights = again
+    else:
+        estimate, noise, certificate = _certified(pairs, weights, noise, settings)
+    if not certificate.holds:
+        notes.append("the global optimum is not proven: the relaxation is not tight for these samples")
+    if settings.noise is not None:
+        degrees = 6.0 * weights.sum() - 12.0
+        notes += _noise_notes(estimate.cost, degrees)
+    covariance = ml.covariance_of_X(estimate)
+    if settings.noise is None:
+        few = noise_model.few_sample_note(int(weights.sum()))
+        if few is not None and settings.source is NoiseSource.BOTH:
+            notes.append(few)
+        covariance = covariance * noise_model.few_sample_factor(int(weights.sum()))
+    return SolverEstimate(estimate.X, estimate.Z, tuple(notes), weights > 0.5, certificate, covariance, noise)
+
+
+def _certified(
+    pairs: PosePairs, weights: Array, noise: Noise, settings: RobustSettings
+) -> tuple[ml.Estimate, Noise, Certificate]:
+    X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, weights, noise))
+    equations = Equations(pairs.H, pairs.P, weights, pairs.setup)
+    if settings.noise is None:
+        return *noise_model.estimated(equations, X, Z, noise, settings.source), certificate
+    return ml.maximize(equations, X, Z, noise), noise, certificate
+
+
+def _demand_consensus(weights: Array, settings: RobustSettings, pairs: PosePairs) -> None:
+    agree, n = int(weights.sum()), len(weights)
+    if agree < max(3, settings.least_share * n):
+        good = ", ".join(name for name, w in zip(pairs.names, weights, strict=True) if w > 0.5) or "none"
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_consensus",
+            f"only {agree} of {n} samples agree on one calibration ({good}); "
+            "check units, frames (eye in hand or to hand) and that hand and camera poses belong together",
+        )
+
+
+def _noise_notes(cost: float, degrees: float) -> list[str]:
+    ratio = float(np.sqrt(cost / max(degrees, 1.0)))
+    if 0.5 < ratio < 2.0:
+        return []
+    return [
+        f"residuals are {ratio:.2g} times what the given noise explains; the covariance is off by as much"
+    ]
 
 
 def solve(
@@ -30,7 +134,7 @@ def solve(
 ) -> HandEyeResult:
     """The calibration of ``pairs`` by ``method``; the order of the samples does not change it by a bit.
 
-    ``settings`` concern ``robust``, ``maximum-likelihood`` and ``chordal``. Raises MeasurementFailed when X
+    ``settings`` concern ``robust`` and ``maximum-likelihood``. Raises MeasurementFailed when X
     is not observable (``measurement.hand_eye.too_few_samples``, ``.too_little_rotation``,
     ``.parallel_axes``, ``.motions_differ``) or the solver has no proper answer (``.no_solution``,
     ``.left_handed``, ``.no_consensus``, ``.sdp``, ``.singular``).
@@ -44,19 +148,16 @@ def solve(
         seen.demand()
     if method in (Method.ROBUST, Method.MAXIMUM_LIKELIHOOD):
         settings = settings if method is Method.ROBUST else settings._replace(reject=False)
-        found = robust.solve(pairs, motions, settings)
+        found = robust(pairs, motions, settings)
         if method is Method.ROBUST:
             assert found.inliers is not None
             seen = verdict(int(found.inliers.sum()), all_motions(pairs.subset(found.inliers)), limits)
             seen.demand()
-    elif method is Method.CHORDAL:
-        noise = settings.noise or Noise(*noise_model.USUAL_RATIO)
-        X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), noise))
-        found = SolverEstimate(X, Z, certificate=certificate)
     elif method in CLASSICAL:
         found = classical.from_poses(pairs, motions, CLASSICAL[method])
     else:
-        found = _by_dual_quaternions(motions, method)
+        X, certificate = dqcr(forms(dual_quaternions(motions)))
+        found = SolverEstimate(X, certificate=certificate)
     return _result(pairs, method, seen, found)
 
 
@@ -67,40 +168,21 @@ def _whatever_the_noise(limits: ObservabilityLimits | None) -> ObservabilityLimi
 def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) -> Array:
     """X (4, 4) from bare relative motions A X = X B, each camera motion with its own noise.
 
-    ``maximum-likelihood`` and ``robust`` are the same here: maximum likelihood from the joint
-    dual-quaternion optimum. Raises MeasurementFailed like ``solve``, ValueError for methods that need
+    ``maximum-likelihood`` and ``robust`` are the same here: maximum likelihood from DQCR's
+    answer. Raises MeasurementFailed like ``solve``, ValueError for methods that need
     poses.
     """
     verdict(len(motions.A) + 1, motions).demand()
     if method in (Method.MAXIMUM_LIKELIHOOD, Method.ROBUST):
         equations = Equations(stacks.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
-        start = dual_quaternion.joint(dual_quaternion.forms(dual_quaternions(motions)))[0]
+        start = dqcr(forms(dual_quaternions(motions)))[0]
         first = noise or Noise(*noise_model.USUAL_RATIO)
         if noise is None:
             return noise_model.estimated(equations, start, start, first, NoiseSource.CAMERA)[0].X
         return ml.maximize(equations, start, start, first).X
     if method in CLASSICAL:
         return classical.from_motions(motions, CLASSICAL[method])
-    return _by_dual_quaternions(motions, method).X
-
-
-def _by_dual_quaternions(motions: Motions, method: Method) -> SolverEstimate:
-    forms = dual_quaternion.forms(dual_quaternions(motions))
-    if method is Method.DQCR:
-        X, certificate = dual_quaternion.closed_form(forms)
-        return SolverEstimate(X, certificate=certificate)
-    if method is Method.JOINT:
-        X, certificate = dual_quaternion.joint(forms)
-        return SolverEstimate(X, certificate=certificate)
-    if method is Method.DQCR_PUBLISHED:
-        found = dual_quaternion.published(forms)
-        note = (
-            "ranks of the moment matrices of order 1 and 2: "
-            f"rotation {found.rotation.rank_lower} and {found.rotation.rank_upper}, "
-            f"translation {found.translation.rank_lower} and {found.translation.rank_upper}"
-        )
-        return SolverEstimate(found.X, notes=(note,), certificate=found.certificate)
-    raise ValueError(f"{method} needs poses")
+    return dqcr(forms(dual_quaternions(motions)))[0]
 
 
 def _result(

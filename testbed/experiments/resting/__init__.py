@@ -1,1 +1,0 @@
-"""How arms come to rest and stay there: time into position, and millimetres moved while parked."""

@@ -1,0 +1,230 @@
+"""A good file of samples spoiled in every way that is known, and what `hand-eye solve` answers to each."""
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from protocol.errors import LongreachError
+from testbed.cli.main import app
+from testbed.experiments.hand_eye import scenes
+from testbed.hand_eye.importer import FORMAT, load
+from vision_pc.config.choices import Method
+from vision_pc.core import se3_stacks as stacks
+from vision_pc.core.hand_eye.solvers import judgement
+from vision_pc.core.se3 import Array
+
+Document = dict[str, Any]
+_NOISE = scenes.noise(0.2, 1.0)
+
+
+class BadFile(NamedTuple):
+    """A mistake: how it spoils a good file's ``Document`` (or its text), and the answer that it must get.
+
+    ``cause`` of the refusal, or of the question where ``asked``; ``said`` is in its sentence.
+    """
+
+    name: str
+    spoil: Callable[[Document], Document | str]
+    cause: str
+    said: str
+    asked: bool = False
+    suffix: str = ".json"
+
+
+def good_file(samples: int, seed: int) -> Document:
+    """A file of eye-in-hand samples, drawn: a target at 0.8 m, 0.2° and 1 mm of noise."""
+    rng = np.random.default_rng(seed)
+    pairs = scenes.measured(scenes.viewing_scene(rng, samples), _NOISE, rng)
+    back = np.argsort(np.array(pairs.order))
+    drawn = [
+        {"name": f"s{k + 1}", "hand": pairs.X_BT[i].tolist(), "camera": pairs.P[i].tolist()}
+        for k, i in enumerate(back)
+    ]
+    return {"format": FORMAT, "setup": "eye-in-hand", "length_unit": "m", "samples": drawn}
+
+
+def _poses(good: Document, side: str) -> Array:
+    return np.array([sample[side] for sample in good["samples"]])
+
+
+def _with(side: str, change: Callable[[Array], Array]) -> Callable[[Document], Document]:
+    def spoil(good: Document) -> Document:
+        for sample, X in zip(good["samples"], change(_poses(good, side)), strict=True):
+            sample[side] = X.tolist()
+        return good
+
+    return spoil
+
+
+def _lengths(factor: float) -> Callable[[Array], Array]:
+    return lambda X: stacks.transform(X[:, :3, :3], factor * X[:, :3, 3])
+
+
+def _transposed(X: Array) -> Array:
+    return stacks.transform(np.swapaxes(X[:, :3, :3], -1, -2), X[:, :3, 3])
+
+
+def _rolled(X: Array) -> Array:
+    q = np.roll(stacks.quaternion_from_rotation(X[:, :3, :3]), 1, axis=-1)
+    return stacks.transform(stacks.rotation_from_quaternion(q), X[:, :3, 3])
+
+
+def _mirrored(X: Array) -> Array:
+    return X @ np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+def _shifted(good: Document) -> Document:
+    cameras = [sample["camera"] for sample in good["samples"]]
+    good["samples"] = good["samples"][:-1]
+    for sample, camera in zip(good["samples"], cameras[1:], strict=True):
+        sample["camera"] = camera
+    return good
+
+
+def _exchanged(good: Document) -> Document:
+    for sample in good["samples"]:
+        sample["hand"], sample["camera"] = sample["camera"], sample["hand"]
+    return good
+
+
+def _set(*path: Any, value: Any) -> Callable[[Document], Document]:
+    def spoil(good: Document) -> Document:
+        at: Any = good
+        for key in path[:-1]:
+            at = at[key]
+        at[path[-1]] = value
+        return good
+
+    return spoil
+
+
+def _still_camera(good: Document) -> Document:
+    good["samples"][3]["camera"] = good["samples"][2]["camera"]
+    return good
+
+
+def _one_axis(good: Document) -> Document:
+    """The hand only ever turned about its own z axis."""
+    hands, cameras = _poses(good, "hand"), _poses(good, "camera")
+    X_BT, X_CP = hands[0], cameras[0]
+    for k, sample in enumerate(good["samples"]):
+        turn = stacks.transform(stacks.exp_so3(np.array([0.0, 0.0, 0.1 * k])), np.array([0.01 * k, 0.0, 0.0]))
+        sample["hand"], sample["camera"] = (X_BT @ turn).tolist(), (stacks.inverse(turn) @ X_CP).tolist()
+    return good
+
+
+def _unrelated(good: Document) -> Document:
+    order = np.random.default_rng(0).permutation(len(good["samples"]))
+    return _with("camera", lambda X: X[order])(good)
+
+
+def _sample_twice(good: Document) -> Document:
+    good["samples"].append(good["samples"][0])
+    return good
+
+
+def _semicolons(good: Document) -> str:
+    names = _HEADER.split(",")
+    return "\n".join(";".join(row) for row in [names, *(["0.1"] * len(names) for _ in good["samples"])])
+
+
+_HEADER = "hand_x_m,hand_y_m,hand_z_m,hand_qw,hand_qx,hand_qy,hand_qz,camera_x_m,camera_y_m,camera_z_m"
+_REFUSED, _FAILED = "refused.hand_eye.", "measurement.hand_eye."
+_MISREAD, _SCALE, _FEW = _FAILED + "misread", _FAILED + "scale", _FAILED + "too_few_samples"
+_HAND, _CAMERA = "hand", "camera"
+_FLAT = np.eye(3).tolist()
+
+BAD_FILES = (
+    BadFile("cut off in the middle", lambda g: json.dumps(g)[:400], _REFUSED + "unreadable", "not JSON"),
+    BadFile("empty", lambda g: "", _REFUSED + "unreadable", "not JSON"),
+    BadFile("no samples in it", _set("samples", value=[]), _FEW, "0 samples"),
+    BadFile("two samples", lambda g: {**g, "samples": g["samples"][:2]}, _FEW, "at least 3"),
+    BadFile("a rotation for a pose", _set("samples", 2, _HAND, value=_FLAT), _REFUSED + "format", "got 9"),
+    BadFile("null in a pose", _set("samples", 2, _CAMERA, 0, 3, value=None), _REFUSED + "not_finite", "s3"),
+    BadFile("a word in a pose", _set("samples", 2, _CAMERA, 0, 3, value="x"), _REFUSED + "format", "s3"),
+    BadFile("a sample twice", _sample_twice, _REFUSED + "duplicate", "the same sample twice"),
+    BadFile("a camera that did not follow", _still_camera, _REFUSED + "stale_camera", "s3 and s4"),
+    BadFile("CSV with semicolons", _semicolons, _REFUSED + "format", "unknown key", suffix=".csv"),
+    BadFile("an unknown unit", _set("length_unit", value="inch"), _REFUSED + "units", "'inch'"),
+    BadFile("an unknown setup", _set("setup", value="eye-on-base"), _REFUSED + "format", "'eye-on-base'"),
+    BadFile("hand in mm", _with(_HAND, _lengths(1e3)), _REFUSED + "units", "in millimetres?"),
+    BadFile("mirrored axes", _with(_CAMERA, _mirrored), _REFUSED + "left_handed", "left-handed"),
+    BadFile("turned about one axis", _one_axis, _FAILED + "parallel_axes", "parallel"),
+    BadFile("poses that do not belong together", _unrelated, _FAILED + "motions_differ", "belong"),
+    BadFile("sides shifted by one", _shifted, _MISREAD, "shifted by one"),
+    BadFile("the other setup", _set("setup", value="eye-to-hand"), _MISREAD, "the setup is eye-in-hand"),
+    BadFile("hand poses inverted", _with(_HAND, stacks.inverse), _MISREAD, "hand poses are inverted"),
+    BadFile("camera poses inverted", _with(_CAMERA, stacks.inverse), _MISREAD, "camera poses are inverted"),
+    BadFile("camera rotations transposed", _with(_CAMERA, _transposed), _MISREAD, "camera rotations are tr"),
+    BadFile(
+        "hand rotations transposed", _with(_HAND, _transposed), _MISREAD, "hand rotations are transposed"
+    ),
+    BadFile("quaternions in another order", _with(_HAND, _rolled), _MISREAD, "hand quaternions are wxyz"),
+    BadFile("camera in m, taken for mm", _with(_CAMERA, _lengths(1e-3)), _SCALE, "in m beside a hand in mm"),
+    BadFile("camera 25.4 times too small", _with(_CAMERA, _lengths(1.0 / 25.4)), _SCALE, "inches"),
+    BadFile("square said 10 % too large", _with(_CAMERA, _lengths(1.1)), _SCALE, "another size"),
+    BadFile("square said 2 % too small", _with(_CAMERA, _lengths(0.98)), _SCALE, "another size", asked=True),
+    BadFile("hand and camera exchanged", _exchanged, _FAILED + "exchanged", "exchanged", asked=True),
+)
+
+
+@pytest.mark.parametrize("bad", BAD_FILES, ids=lambda bad: bad.name)
+def test_a_bad_file_is_answered_rightly(bad: BadFile, tmp_path: Path) -> None:
+    made = bad.spoil(copy.deepcopy(good_file(8, 1)))
+    file = tmp_path / f"samples{bad.suffix}"
+    file.write_text(made if isinstance(made, str) else json.dumps(made), encoding="utf-8")
+    if not bad.asked:
+        with pytest.raises(LongreachError, match=re.escape(bad.said)) as refused:
+            judgement.believed(load(file), Method.ROBUST)
+        assert refused.value.cause == bad.cause
+        return
+    _, found = judgement.believed(load(file), Method.ROBUST)
+    assert any(doubt.cause == bad.cause and bad.said in doubt.reason for doubt in found.doubts)
+
+
+def test_the_good_file_they_are_made_of_is_good(tmp_path: Path) -> None:
+    file = tmp_path / "samples.json"
+    file.write_text(json.dumps(good_file(8, 1)), encoding="utf-8")
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--json", str(tmp_path / "x.json")])
+    assert result.exit_code == 0, result.output
+    assert "verdict: good" in result.output
+    verdict = json.loads((tmp_path / "x.json").read_text())["verdict"]
+    assert verdict["word"] == "good"
+    assert verdict["scale"]["factor"] == pytest.approx(1.0, abs=5.0 * verdict["scale"]["std"])
+    assert verdict["next_best_noise_ratio"] > 5.0
+
+
+def test_a_refused_file_gives_its_number_only_as_given(tmp_path: Path) -> None:
+    good = good_file(8, 1)
+    good["setup"] = "eye-to-hand"
+    file = tmp_path / "samples.json"
+    file.write_text(json.dumps(good), encoding="utf-8")
+    refused = CliRunner().invoke(app, ["hand-eye", "solve", str(file)])
+    assert refused.exit_code != 0
+    assert "residuals" not in refused.output
+    told = CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--as-given"])
+    assert told.exit_code == 0, told.output
+    assert "verdict: refused" in told.output
+    assert "residuals" in told.output
+
+
+def test_a_questioned_file_gives_its_number_and_status_1(tmp_path: Path) -> None:
+    """Camera lengths 3 % too long: a target measured a little wrongly."""
+    good = good_file(40, 1)
+    for sample in good["samples"]:
+        for row in sample["camera"][:3]:
+            row[3] *= 1.03
+    file = tmp_path / "samples.json"
+    file.write_text(json.dumps(good), encoding="utf-8")
+    said = CliRunner().invoke(app, ["hand-eye", "solve", str(file)])
+    assert "verdict: questioned" in said.output
+    assert "residuals" in said.output
+    assert said.exit_code == 1
+    assert CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--as-given"]).exit_code == 0

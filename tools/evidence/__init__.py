@@ -1,1 +1,0 @@
-"""The tables of README.md and the pages of docs that are made of the rows under docs/results."""
