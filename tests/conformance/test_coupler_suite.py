@@ -1,4 +1,4 @@
-"""The coupler's suite: every broken coupler is caught by its own case, and what a run leaves behind."""
+"""The coupler's suite: what a run writes, and what it leaves behind."""
 
 import json
 from pathlib import Path
@@ -11,20 +11,11 @@ from conformance.case import CaseOutcome
 from conformance.command import app
 from conformance.records import write_records
 from conformance.runner import coupler_cases, run_coupler
-from tests.conformance.couplers import ThreadedCoupler
-from tests.conformance.mutants.coupler import MUTANTS, Mutant
+from tests.conformance.coupler.page_coupler import PageServer
+from tests.conformance.coupler.rules import Rules
+from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
 
-CONTROL = 601
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("clock")]
-
-
-@pytest.mark.slow("cases wait for watchdogs to expire")
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
-def test_each_broken_coupler_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
-    with mutant.make() as coupler:
-        summary = run_coupler("127.0.0.1", coupler.port, numbers=[CONTROL, mutant.case], outputs=True)
-    outcomes = {result.case.number: result.outcome for result in summary.results}
-    assert outcomes == {CONTROL: CaseOutcome.PASS, mutant.case: CaseOutcome.FAIL}
 
 
 @pytest.mark.slow("a whole suite over sockets")
@@ -53,10 +44,10 @@ def test_the_command_writes_records_and_ends_with_its_verdict(tmp_path: Path) ->
     assert getattr(bad.exception, "cause", "") == "link.unreachable"
 
 
-def test_records_of_a_failure_name_it(tmp_path: Path) -> None:
-    mutant = MUTANTS[0]
-    with mutant.make() as coupler:
-        write_records(run_coupler("127.0.0.1", coupler.port, numbers=[mutant.case]), tmp_path)
+def test_records_of_a_failure_name_it(tmp_path: Path, clock: ShiftedClock) -> None:
+    refuses_under_0x80 = Rules(refusal=lambda _, code: bytes([0x80, code]))
+    with PageServer(refuses_under_0x80, clock) as coupler:
+        write_records(run_coupler("127.0.0.1", coupler.port, numbers=[612]), tmp_path)
     failure = ElementTree.parse(tmp_path / "junit.xml").getroot().find("testcase/failure")
     assert failure is not None
     assert "wanted 8303" in (failure.get("message") or "")
