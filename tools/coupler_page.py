@@ -6,7 +6,7 @@ from pathlib import Path
 from pymodbus.pdu.bit_message import ReadCoilsRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
 
-from conformance.coupler.unasked import UNASKED
+from conformance.coupler import UNASKED
 from conformance.runner import coupler_cases
 from foundation.modbus import MAX_PDU_BYTES
 from plant_emulator.core.coupler import modbus_requests as requests

@@ -17,9 +17,8 @@ from importlib import import_module
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from conformance.case import CaseOutcome, ConformanceCase
+from conformance.case import GOOD, CaseOutcome, ConformanceCase, Result
 from conformance.coupler import tester_clock
-from conformance.outcome import GOOD, Result
 from conformance.runner import coupler_cases, reference_cases, run_coupler, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest

@@ -3,10 +3,9 @@
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome
+from conformance.case import CaseOutcome, Summary
 from conformance.command import app
 from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS
-from conformance.outcome import Summary
 from conformance.runner import Manner, run_coupler, run_reference
 from protocol.datagram_layout import Kind
 from protocol.reference_messages import Acknowledgement

@@ -11,7 +11,7 @@ from importlib import import_module
 import pytest
 
 from conformance.case import CaseOutcome
-from conformance.coupler.unasked import UNASKED
+from conformance.coupler import UNASKED
 from conformance.runner import coupler_cases, reference_cases, run_coupler
 from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.coupler.page_coupler import PageServer

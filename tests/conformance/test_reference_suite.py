@@ -8,9 +8,8 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome, CaseRegister
+from conformance.case import CaseOutcome, CaseRegister, Summary
 from conformance.command import app
-from conformance.outcome import Summary
 from conformance.parts import OptionalPart
 from conformance.records import write_records
 from conformance.runner import reference_cases, run_reference

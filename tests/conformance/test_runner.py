@@ -12,13 +12,12 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome, CaseRegister
-from conformance.lateness import figures_of
-from conformance.outcome import Summary
+from conformance.case import CaseOutcome, CaseRegister, Summary
 from conformance.parts import OptionalPart, Profile, profile_from
 from conformance.peer import Peer
 from conformance.records import SCHEMA, SCHEMA_VERSION, as_json, write_records
 from conformance.runner import Manner, run_coupler, run_reference
+from conformance.subjects import figures_of
 from conformance.wire import NonceSource
 from protocol.errors import ConfigurationError
 from protocol.server_session import ReferenceServer
@@ -64,7 +63,7 @@ def closed_udp_port() -> int:
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looks that give up soon."""
-    monkeypatch.setattr("conformance.preflight.LOOK_MS", 300)
+    monkeypatch.setattr("conformance.subjects.LOOK_MS", 300)
 
 
 def one_line(*arguments: str) -> str:
