@@ -4,7 +4,8 @@ import struct
 from collections.abc import Callable
 
 from conformance.case import coupler
-from conformance.coupler.frames import ADDRESS, FUNCTION, LISTED, READ_ONE, VALUE, count
+from conformance.coupler.frames import ADDRESS, FUNCTION, LISTED, READ_ONE, VALUE
+from conformance.coupler.frames import count as counter
 from conformance.master import (
     DIAGNOSTICS,
     EXCHANGE,
@@ -232,9 +233,9 @@ def least_growth(master: Master, sub_function: int, meanwhile: Callable[[], None
     """By how much a counter grows, at least, from one question to the next."""
     found = []
     for _ in range(TRIES):
-        before = count(master, sub_function)
+        before = counter(master, sub_function)
         meanwhile()
-        found.append((count(master, sub_function) - before) % 0x10000)
+        found.append((counter(master, sub_function) - before) % 0x10000)
     return min(found)
 
 
@@ -272,14 +273,14 @@ def frames_counted(master: Master) -> None:
         lost.send_raw(FRAMING_HEAD.pack(1, protocol, length, 1) + READ_ONE)
         require(lost.is_closed(), "the connection lives on, or was answered on")
 
-    before = count(master, FRAMES)
+    before = counter(master, FRAMES)
     for protocol, length in ((1, 6), (0, 1), (0, 255)):
         lose(protocol, length)
-    got = (count(master, FRAMES) - before) % 0x10000
+    got = (counter(master, FRAMES) - before) % 0x10000
     require(got == 3, f"it grew by {got} with 3 such frames")
     _sound(master)
     _refused(master)
-    require((count(master, FRAMES) - before) % 0x10000 == 3, "it counts other requests too")
+    require((counter(master, FRAMES) - before) % 0x10000 == 3, "it counts other requests too")
 
 
 @case(824, "2.6", "sub-function 10 clears every counter and gives its data back")
@@ -292,14 +293,14 @@ def counters_cleared(master: Master) -> None:
         for _ in range(TRIES):
             _refused(master)
             require(master.ask(CLEAR) == CLEAR, "the data did not come back")
-            found.append(count(master, sub))
+            found.append(counter(master, sub))
         require(min(found) <= most, f"sub-function {sub} stands at {min(found)} right after clearing")
 
 
 @case(825, "2.6", "sub-function 2 is the status word of the register")
 def status_word(master: Master) -> None:
     for _ in range(TRIES):
-        before, told, after = master.word(STATUS), count(master, 2), master.word(STATUS)
+        before, told, after = master.word(STATUS), counter(master, 2), master.word(STATUS)
         if before == after:
             require(told == before, f"sub-function 2 tells {told:#06x}, the register {before:#06x}")
             return
