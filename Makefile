@@ -49,7 +49,7 @@ LABORATORY := $(addprefix tests/, \
 		$(addprefix targets/test_, measuring.py surroundings.py template_target.py) \
 		$(addprefix shell/test_, api_schema.py target_routes.py)))
 
-.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -104,10 +104,6 @@ foreign-tools:  ## Debian's mbpoll, tshark and C compiler, which some tests use 
 	|| { echo "foreign tools:$$missing could not be installed; their tests are skipped" >&2; exit 1; }
 
 peers: $(PEERS_STAMP)  ## readers and detectors of others, which some tests and benchmarks ask too (two are GPL: never in a dependency)
-
-viewer: $(RUN_STAMP)  ## Foxglove Studio 1.48, in which the tests look at recordings (needs npm; 179 MB, not shipped)
-	@test -d $(VENV)/viewer || $(BIN)/python -m tools.foxglove_studio.fetch $(VENV)/viewer \
-	|| { echo "viewer: not fetched; recordings are NOT looked at in it" >&2; exit 1; }
 
 prometheus: $(RUN_STAMP)  ## Debian's Prometheus, unpacked and not installed, which the tests let read the figures
 	@test -x $(VENV)/prometheus/usr/bin/prometheus || { cd $(VENV) && apt-get download -qq prometheus && dpkg-deb -x prometheus_*.deb prometheus && rm prometheus_*.deb; } \

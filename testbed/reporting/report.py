@@ -62,7 +62,6 @@ def write_report(
         spans=spans(events),
         lasted_s=max((line.at_s for line in event_lines(events)), default=0.0),
         events=event_lines(events),
-        shown=next((name for name, _ in _files(directory) if name.endswith("vision.mcap")), ""),
     )
     path = directory / "report.html"
     path.write_text(html, encoding="utf-8")

@@ -22,7 +22,7 @@ PAGES = [ROOT / "README.md", *(page for page in (ROOT / "docs").rglob("*.md") if
 SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
     "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "picture run", "runs open",
-    "recording layout", "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
+    "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
     "hand-eye session export", "hand-eye samples",
 }  # fmt: skip
 _SHOWN = re.compile(r"longreach((?: +(?:'[^']*'|[^\s`|#()<>]+))+)")
