@@ -39,7 +39,7 @@ LABORATORY := $(addprefix tests/, \
 		prometheus.py stop_behind_flood.py) \
 	longreach/test_documented.py \
 	plant_emulator/shell/test_plant_process.py \
-	$(addprefix testbed/, arms camera campaigns cli commissioning dashboard demonstration experiments exports \
+	$(addprefix testbed/, arms camera campaigns cli commissioning demonstration experiments exports \
 		fault_proxy hand_eye \
 		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py \
 		validation) \

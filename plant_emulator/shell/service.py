@@ -11,7 +11,7 @@ from typing import Any
 from foundation.event_log import EventLog
 from foundation.live.feed import Opened
 from foundation.live.metrics import Spread, exposition
-from foundation.live.opening import LiveShow, open_show
+from foundation.live.feed import LiveShow, open_show
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.recording.directories import recording_directory

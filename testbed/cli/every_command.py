@@ -1,6 +1,5 @@
-"""What every command has that it need not say: `--arm` beside `--config-dir`, `-q` and `-v`, former names."""
+"""What every command has that it need not say: `--arm` beside `--config-dir`, `-q` and `-v`."""
 
-from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,8 +9,6 @@ from typer.exceptions import TyperException
 
 from testbed.reporting.console import Verbosity
 
-FORMER_NAMES = {"--runs": "--count", "--directory": "--out", "--records": "--out", "--drawn": "--out"}
-"""Of options, in commands that pages and kept rows show: still understood where nothing else has the name."""
 _DIRECTORY = "config_dir"
 
 
@@ -29,25 +26,17 @@ def dressed(command: Any) -> Any:
     if not hasattr(command, "commands"):
         command.params += [option for option in _told_options() if option.name not in own]
     if not isinstance(command.parse_args, partial):
-        command.parse_args = partial(_parsed, command, command.parse_args)
+        command.parse_args = partial(_parsed, command.parse_args)
     return command
 
 
-def _parsed(command: Any, parse: Any, ctx: Any, arguments: list[str]) -> Any:
-    known = {name for parameter in command.params for name in parameter.opts}
+def _parsed(parse: Any, ctx: Any, arguments: list[str]) -> Any:
     try:
-        return parse(ctx, list(_renamed(arguments, known)))
+        return parse(ctx, arguments)
     except TyperException as refused:
         error: Any = refused
         error.ctx = getattr(error, "ctx", None) or ctx  # so that the line tells which help to read
         raise
-
-
-def _renamed(arguments: Sequence[str], known: set[str]) -> Iterator[str]:
-    for argument in arguments:
-        name, equals, value = argument.partition("=")
-        now = FORMER_NAMES.get(name)
-        yield argument if now is None or name in known or now not in known else f"{now}{equals}{value}"
 
 
 def _chosen(ctx: typer.Context, arm: str | None) -> None:

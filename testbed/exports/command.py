@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protocol.errors import ConfigurationError
-from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Settings
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Settings
 from testbed.reporting.console import out, writable, write_json
 
 if TYPE_CHECKING:
@@ -48,25 +48,6 @@ def mjcf_command(
     from testbed.exports.mjcf import mjcf
 
     _write(mjcf, _tree(config_dir, settings, true, springs=True), file, json_file)
-
-
-@app.command("fmu", epilog="Example: longreach export fmu --scenario standard --seed 7 --out plant.fmu")
-def fmu_command(
-    file: Target,
-    scenario: Annotated[str | None, typer.Option(help="Draws its world; none: as configured.")] = None,
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    json_file: JsonFile = None,
-) -> None:
-    """The plant as an FMU (FMI 2.0): valves in, sensors out, stepped by the Longreach installed there."""
-    from testbed.exports.fmu import write_fmu
-    from testbed.scenarios.settings import chosen_overrides, load_settings
-
-    chosen = load_settings(config_dir, chosen_overrides(config_dir, scenario, seed, settings or []))
-    write_fmu(chosen, seed, file)
-    out.print(f"{file}: {file.stat().st_size / 1e3:.0f} kB, seed {seed}", highlight=False, soft_wrap=True)
-    write_json(json_file, {"file": file, "scenario": scenario, "seed": seed})
 
 
 def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: bool = False) -> "ArmTree":

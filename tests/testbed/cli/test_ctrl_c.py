@@ -71,7 +71,7 @@ NOT_TRIED = {  # of the long commands
 
 
 SHORT = {
-    "arm check", "arm draw", "arm list", "arm new", "camera check", "camera convert", "doctor", "export fmu",
+    "arm check", "arm draw", "arm list", "arm new", "camera check", "camera convert", "doctor",
     "export mjcf", "export urdf", "hand-eye bad-files", "hand-eye compare", "hand-eye drawing",
     "hand-eye intrinsics", "hand-eye samples", "hand-eye solve", "init", "markers", "picture machine",
     "programs", "runs clean", "runs compare", "runs list", "runs open", "runs show", "target", "token new",
