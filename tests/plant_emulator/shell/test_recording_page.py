@@ -46,7 +46,7 @@ def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
     table = rows(PAGE, "field | shape")
     assert tuple(table) == PlantTruth._fields
     truth = Plant(plant_config(), seed=1).truth()
-    for name, (shape, _, message, _) in table.items():
+    for name, (shape, message, _) in table.items():
         columns = columns_of(name)
         assert message == f"`{columns[0]}`" + (f" … `{columns[-1]}`" if len(columns) > 1 else "")
         value = getattr(truth, name)
