@@ -29,27 +29,27 @@ MS = 1_000_000
 def limits() -> str:
     """Every time and count of the protocol, in milliseconds and in packets."""
     rows = [
-        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes, with its trailer", "–"),
-        ("waypoints in a path", MAX_WAYPOINTS, "–"),
+        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes, with its trailer", ""),
+        ("waypoints in a path", MAX_WAYPOINTS, ""),
         ("HELLO repeated", f"every {HELLO_PERIOD_NS // MS} ms", f"new nonce after {HELLOS_PER_NONCE}"),
         ("HEARTBEAT", f"every link_timeout_ms / {HEARTBEATS_PER_TIMEOUT}",
          f"the first {FIRST_HEARTBEATS} at most {FIRST_PERIOD_NS // MS} ms apart"),
         ("session ends by silence", "after more than link_timeout_ms",
          f"{HEARTBEATS_PER_TIMEOUT - 1} heartbeats lost in a row are survived, one more is not"),
-        ("datagram is stale", "older than the controller's max_age_ms, by default link_timeout_ms", "–"),
+        ("datagram is stale", "older than the controller's max_age_ms, by default link_timeout_ms", ""),
         ("request repeated", f"every {MIN_RESEND_NS // MS} ms or {RESEND_CYCLES} cycles, the longer",
          "until answered"),
-        ("requests that wait for a scan", "–", f"{WAITING}; one more, and the oldest is overtaken (6.14)"),
+        ("requests that wait for a scan", "", f"{WAITING}; one more, and the oldest is overtaken (6.14)"),
         ("answers remembered", "for the session", f"the newest {REMEMBERED}"),
-        ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
-        ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
-        ("replay window", "–", f"the newest {WINDOW_DATAGRAMS} of 2^64 numbers"),
-        ("grant that has not begun is forgotten", "after more than link_timeout_ms", "–"),
-        ("late told from duplicate", "–", f"within the newest {WINDOW_DATAGRAMS} numbers"),
-        ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", "–"),
-        ("echoes kept for the clock", "–", f"the newest {WINDOW}"),
-        ("drift of a clock assumed", f"{DRIFT_PPM} ppm", "–"),
-        ("step of a clock followed", "–", f"after {DISPUTED_TO_RESET} echoes in a row that agree"),
+        ("nonces remembered", "", f"those of the last {REMEMBERED_NONCES} sessions"),
+        ("gap in the sequence", "", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
+        ("replay window", "", f"the newest {WINDOW_DATAGRAMS} of 2^64 numbers"),
+        ("grant that has not begun is forgotten", "after more than link_timeout_ms", ""),
+        ("late told from duplicate", "", f"within the newest {WINDOW_DATAGRAMS} numbers"),
+        ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", ""),
+        ("echoes kept for the clock", "", f"the newest {WINDOW}"),
+        ("drift of a clock assumed", f"{DRIFT_PPM} ppm", ""),
+        ("step of a clock followed", "", f"after {DISPUTED_TO_RESET} echoes in a row that agree"),
     ]  # fmt: skip
     return table("what | limit in time or bytes | limit in packets", rows)
 
@@ -65,20 +65,20 @@ def stream_limits() -> str:
         return ", ".join(f"{int(limit_ms * rate / 1e3) - 1} at {rate} Hz" for rate in (15, 30, 60))
 
     rows = [
-        ("`silence_ms`", f"{stream.silence_ms:g} ms", "–"),
+        ("`silence_ms`", f"{stream.silence_ms:g} ms", ""),
         ("the arm is slowed down after", f"{slow_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
          f"lost in a row without it: {lost_before(slow_ms)}"),
         ("the valves are centred after", f"{close_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
          f"lost in a row and survived: {lost_before(close_ms)}"),
-        ("`ramp_ms`, `recovery_ms`", f"{stream.ramp_ms:g} ms, {stream.recovery_ms:g} ms", "–"),
-        ("`first_reference_ms`", f"{stream.first_reference_ms:g} ms", "–"),
-        ("greatest age (12.6)", f"{stream.max_age_ms:g} ms", "–"),
-        ("distance, angle (12.4)", f"{stream.distance_m:g} m, {stream.turn_deg:g}°", "–"),
-        ("speed, of T and in turning", f"{stream.speed_m_s:g} m/s, {stream.turn_speed_deg_s:g} °/s", "–"),
+        ("`ramp_ms`, `recovery_ms`", f"{stream.ramp_ms:g} ms, {stream.recovery_ms:g} ms", ""),
+        ("`first_reference_ms`", f"{stream.first_reference_ms:g} ms", ""),
+        ("greatest age (12.6)", f"{stream.max_age_ms:g} ms", ""),
+        ("distance, angle (12.4)", f"{stream.distance_m:g} m, {stream.turn_deg:g}°", ""),
+        ("speed, of T and in turning", f"{stream.speed_m_s:g} m/s, {stream.turn_speed_deg_s:g} °/s", ""),
         ("acceleration",
-         f"{stream.acceleration_m_s2:g} m/s², {stream.turn_acceleration_deg_s2:g} °/s²", "–"),
-        ("jerk", f"{stream.jerk_m_s3:g} m/s³, {stream.turn_jerk_deg_s3:g} °/s³", "–"),
-        ("`twist_ref`, each axis", "0.8 / √3 of the speed", "–"),
+         f"{stream.acceleration_m_s2:g} m/s², {stream.turn_acceleration_deg_s2:g} °/s²", ""),
+        ("jerk", f"{stream.jerk_m_s3:g} m/s³, {stream.turn_jerk_deg_s3:g} °/s³", ""),
+        ("`twist_ref`, each axis", "0.8 / √3 of the speed", ""),
     ]  # fmt: skip
     return table("what | as delivered | in packets", rows)
 

@@ -61,7 +61,7 @@ def test_every_cause_of_a_drop_is_written_down_and_no_other() -> None:
 def rows_after(heading: str) -> list[list[str]]:
     """Cells of the first table behind ``heading`` in the page."""
     lines = TEXT[TEXT.index(heading) :].splitlines()
-    begin = next(i for i, line in enumerate(lines) if line.startswith("| ---"))
+    begin = next(i for i, line in enumerate(lines) if line.startswith("|---"))
     table = itertools.takewhile(lambda line: line.startswith("|"), lines[begin + 1 :])
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
 
