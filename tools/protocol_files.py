@@ -126,7 +126,7 @@ def registers_csv() -> str:
 
 
 def cases_csv() -> str:
-    """Every case of both suites: number, the clause that it cites, whether it moves or writes, the question."""
+    """Every case of both suites: number, clause that it cites, whether it moves or writes, question."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(("suite", "case", "clause", "moves", "question"))

@@ -37,12 +37,20 @@ from protocol.faults import (
 )
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
-from tools.limit_tables import limits, motion_limits, stream_limits
 from tools.plc_types import IEC, IEC_WORDS
 from tools.sample_messages import HEADER as HEADER_SAMPLE
 from tools.sample_messages import MESSAGES
-from tools.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
-from tools.tables import cases_by_clause, table
+from tools.tables import (
+    CLIENT_ROWS,
+    KEY_SERVER_ROWS,
+    SERVER_ROWS,
+    Row,
+    cases_by_clause,
+    limits,
+    motion_limits,
+    stream_limits,
+    table,
+)
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
@@ -93,9 +101,12 @@ def datagram_table(fields: tuple[Field, ...]) -> str:
         return f"{field.low}…{field.highest}" if field.low < field.highest else str(field.low)
 
     rows = (
-        (offset, field.name, _counted(IEC[field.code], field), f"{span(field)} {field.unit}".strip(), field.meaning)
+        (
+            offset, field.name, _counted(IEC[field.code], field), f"{span(field)} {field.unit}".strip(),
+            field.meaning,
+        )
         for field, offset in zip(fields, offsets(fields), strict=True)
-    )
+    )  # fmt: skip
     return table("offset | field | type | range, unit | meaning", rows)
 
 
