@@ -77,7 +77,7 @@ def programs(json_file: JsonFile = None) -> None:
 
     Exit status 1 when one of an installed package cannot be run.
     """
-    from testbed.cli.programs import list_programs
+    from testbed.cli.doctor import list_programs
 
     raise typer.Exit(0 if list_programs(json_file) else 1)
 

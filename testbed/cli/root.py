@@ -37,14 +37,14 @@ LATER = {
         "Example: longreach sniff --interface lo --port 47000",
     ),
     "proxy": Later(
-        "testbed.fault_proxy.command:proxy",
+        "testbed.fault_proxy.proxy:proxy",
         "Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C.",
         "Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02",
     ),
     "export": Later("testbed.exports.command", "The arm as a file for other tools."),
     "picture": Later("testbed.pictures.command", "Pictures that explain."),
     "target": Later(
-        "testbed.cli.target:target",
+        "testbed.cli.markers:target",
         "A marker or board as a PDF at true scale, with rulers that tell whether the printer kept it.",
         "Example: longreach target --marker 582 --size-mm 50 --out marker.pdf",
     ),

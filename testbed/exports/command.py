@@ -31,7 +31,7 @@ def urdf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as URDF, for ROS, Pinocchio and viewers: links, joints, masses; no springs, no gravity."""
-    from testbed.exports.urdf import urdf
+    from testbed.exports.formats import urdf
 
     _write(urdf, _tree(config_dir, settings, true), file, json_file)
 
@@ -45,7 +45,7 @@ def mjcf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as MJCF, for MuJoCo; with --true also the springs and dampers of its hinges, and gravity."""
-    from testbed.exports.mjcf import mjcf
+    from testbed.exports.formats import mjcf
 
     _write(mjcf, _tree(config_dir, settings, true, springs=True), file, json_file)
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from foundation.configuration import parse_overrides
-from foundation.recording.reading import Damage
+from foundation.recording.decoding import Damage
 from foundation.recording.session import session_entries
 from protocol.errors import ConfigurationError
 from testbed.recordings.comparison import ALIKE, ReplayComparison

@@ -9,10 +9,9 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from mcap.records import Attachment, Message
 
-from foundation.recording.decoding import class_in
+from foundation.recording.decoding import RecordingUnreadable, class_in, messages, walk
 from foundation.recording.mcap_file import Topic
 from foundation.recording.messages import PosedFrame, format_of, transforms
-from foundation.recording.reading import RecordingUnreadable, messages, walk
 from foundation.recording.recovery import Contents, contents, new_recording
 from plant_emulator.shell.scene_messages import CAMERA, WORLD
 from plant_emulator.shell.truth_recorder import CAPTURE

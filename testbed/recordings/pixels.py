@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from foundation.recording.reading import RecordingUnreadable, messages
+from foundation.recording.decoding import RecordingUnreadable, messages
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot

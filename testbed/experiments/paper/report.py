@@ -10,8 +10,8 @@ from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper import published
 from testbed.experiments.paper.comparison import TABLES, Compared, Conclusion
-from testbed.reporting.pages import rendered
 from testbed.reporting.plots import svg
+from testbed.reporting.report import rendered
 from testbed.reporting.run_record import KeptRun, beginning
 
 EYES = {

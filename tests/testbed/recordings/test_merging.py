@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from foundation.recording.reading import RecordingUnreadable
+from foundation.recording.decoding import RecordingUnreadable
 from testbed.lockstep.world import CONTROLLER_CLOCK_NS, VISION_CLOCK_NS
 from testbed.recordings.merging import CONTROLLER, JOINTS, PLANT, VISION, fitted_clock, merge
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun

@@ -4,7 +4,7 @@ import multiprocessing
 
 import pytest
 
-from foundation.recording.reading import RecordingUnreadable
+from foundation.recording.decoding import RecordingUnreadable
 from testbed.recordings.pixels import RecordedStamp, RenderedAhead, RenderedPixels, checked, rendered_ahead
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 from tests.testbed.recordings.editing import all_of
