@@ -25,9 +25,9 @@ from protocol.datagram_layout import (
 )
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
-from tools import plc_fields, plc_types
+from tools import plc
 from tools.coupler_page import word_codes
-from tools.plc_types import IEC, IEC_WORDS
+from tools.plc import IEC, IEC_WORDS
 from tools.protocol_page import ROOT
 
 FOLDER = ROOT / "docs" / "protocol"
@@ -136,8 +136,8 @@ def cases_csv() -> str:
 
 
 FILES: dict[str, Callable[[], str]] = {
-    "types_twincat_codesys.st": plc_types.types,
-    "fields.st": plc_fields.fields,
+    "types_twincat_codesys.st": plc.types,
+    "fields.st": plc.fields,
     "datagrams.json": datagrams,
     "registers.json": registers_json,
     "registers.csv": registers_csv,

@@ -37,7 +37,7 @@ from protocol.faults import (
 )
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
-from tools.plc_types import IEC, IEC_WORDS
+from tools.plc import IEC, IEC_WORDS
 from tools.sample_messages import HEADER as HEADER_SAMPLE
 from tools.sample_messages import MESSAGES
 from tools.tables import (

@@ -27,7 +27,7 @@ from protocol.errors import DatagramRefused
 from protocol.pose import Pose
 from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
 from protocol.reference_messages import Hello
-from tools.plc_types import IEC_NAMES, types
+from tools.plc import IEC_NAMES, types
 from tools.protocol_page import GOLDEN, PAGE, ROOT, SECTIONS, rendered
 from tools.sample_messages import HEADER, MESSAGES
 
