@@ -7,7 +7,7 @@ import typer
 
 from foundation.command_options import unfolded
 from protocol.errors import RequestRefused
-from testbed.cli.hand_eye.command import PicturedBoard
+from testbed.cli.hand_eye.options import PicturedBoard
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Settings
 from vision_pc.config.choices import LensModel
 
