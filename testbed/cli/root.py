@@ -44,7 +44,7 @@ LATER = {
     "export": Later("testbed.exports.command", "The arm as a file for other tools."),
     "picture": Later("testbed.pictures.command", "Pictures that explain."),
     "target": Later(
-        "testbed.cli.markers:target",
+        "testbed.cli.target:target",
         "A marker or board as a PDF at true scale, with rulers that tell whether the printer kept it.",
         "Example: longreach target --marker 582 --size-mm 50 --out marker.pdf",
     ),
