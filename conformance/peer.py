@@ -1,4 +1,4 @@
-"""The tester's side of the reference link: sends what a client should and should not, waits for answers."""
+"""The tester's end of the reference link."""
 
 import time
 

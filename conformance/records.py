@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from conformance.case import CaseOutcome
-from conformance.outcome import Result, Summary, verdict_of
+from conformance.case import CaseOutcome, Result, Summary, verdict_of
 from conformance.wire import Line
 from protocol.datagram import decode
 from protocol.datagram_layout import FLAG_AUTHENTICATED

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TextIO
 
-from foundation.recording.directories import recording_directory
+from foundation.recording.recovery import recording_directory
 from foundation.repeated_lines import RepeatedLines
 from protocol.errors import ConfigurationError, LongreachError
 

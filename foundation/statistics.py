@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from foundation.event_log import EventLog
-from foundation.recording.directories import writable_directory
+from foundation.recording.recovery import writable_directory
 
 _PERIOD_S = 10.0
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6

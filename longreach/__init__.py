@@ -1,6 +1,6 @@
 """Longreach from Python: a rig in simulated time or over REST, the nominal arm's kinematics, the plant alone.
 
-``read`` gives recordings as arrays, ``longreach.gym`` is a Gymnasium environment.
+``read`` gives recordings as arrays.
 A thin face: every result is the type that the parts themselves return, in SI units and radians.
 Expected trouble is a ``LongreachError`` with its ``cause``. ``longreach.aio`` has the same for ``async``.
 """

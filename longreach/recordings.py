@@ -9,8 +9,7 @@ import numpy as np
 from mcap.records import Message
 from numpy.typing import NDArray
 
-from foundation.recording.decoding import decoder
-from foundation.recording.reading import walk
+from foundation.recording.decoding import decoder, walk
 from foundation.recording.recovery import Contents, contents
 from protocol.errors import RequestRefused
 

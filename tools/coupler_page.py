@@ -6,7 +6,7 @@ from pathlib import Path
 from pymodbus.pdu.bit_message import ReadCoilsRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
 
-from conformance.coupler.unasked import UNASKED
+from conformance.coupler import UNASKED
 from conformance.runner import coupler_cases
 from foundation.modbus import MAX_PDU_BYTES
 from plant_emulator.core.coupler import modbus_requests as requests
@@ -16,7 +16,7 @@ from plant_emulator.shell.modbus_pdus import MAX_WRITE_BITS
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
 from tools.protocol_page import filled
-from tools.tables import table
+from tools.tables import cases_by_clause, table
 
 PAGE = Path(__file__).parents[1] / "docs" / "process_image.md"
 _READ, _BITS, _NONE = ReadHoldingRegistersRequest.MAX_COUNT, ReadCoilsRequest.MAX_COUNT, "–"
@@ -106,10 +106,7 @@ def sections() -> dict[str, str]:
         "registers": table("address | words | register | read with | write with | unit | meaning", own),
         "status": table("bit | mask | meaning", ((bit, f"{mask:#06x}", text) for bit, mask, text in STATUS)),
         "unasked": table("clause | what | why", UNASKED),
-        "cases": table(
-            "case | clause | writes | question",
-            ((c.number, c.clause, "yes" if c.motion else "", c.title) for c in coupler_cases()),
-        ),
+        "cases": cases_by_clause(coupler_cases()),
     }
 
 

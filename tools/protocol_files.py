@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import Any
 
+from conformance.runner import coupler_cases, reference_cases
 from protocol.coupler_registers import COUPLER_TABLE
 from protocol.datagram_layout import (
     HEADER,
@@ -24,9 +25,9 @@ from protocol.datagram_layout import (
 )
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
-from tools import plc_fields, plc_types
+from tools import plc
 from tools.coupler_page import word_codes
-from tools.plc_types import IEC, IEC_WORDS
+from tools.plc import IEC, IEC_WORDS
 from tools.protocol_page import ROOT
 
 FOLDER = ROOT / "docs" / "protocol"
@@ -124,12 +125,23 @@ def registers_csv() -> str:
     return out.getvalue()
 
 
+def cases_csv() -> str:
+    """Every case of both suites: number, clause that it cites, whether it moves or writes, question."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("suite", "case", "clause", "moves", "question"))
+    for suite, cases in (("reference", reference_cases()), ("coupler", coupler_cases())):
+        writer.writerows((suite, c.number, c.clause, "yes" if c.motion else "", c.title) for c in cases)
+    return out.getvalue()
+
+
 FILES: dict[str, Callable[[], str]] = {
-    "types_twincat_codesys.st": plc_types.types,
-    "fields.st": plc_fields.fields,
+    "types_twincat_codesys.st": plc.types,
+    "fields.st": plc.fields,
     "datagrams.json": datagrams,
     "registers.json": registers_json,
     "registers.csv": registers_csv,
+    "cases.csv": cases_csv,
 }
 
 if __name__ == "__main__":

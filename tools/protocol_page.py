@@ -37,12 +37,20 @@ from protocol.faults import (
 )
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
-from tools.limit_tables import limits, motion_limits, stream_limits
-from tools.plc_types import IEC, IEC_WORDS
+from tools.plc import IEC, IEC_WORDS
 from tools.sample_messages import HEADER as HEADER_SAMPLE
 from tools.sample_messages import MESSAGES
-from tools.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
-from tools.tables import table
+from tools.tables import (
+    CLIENT_ROWS,
+    KEY_SERVER_ROWS,
+    SERVER_ROWS,
+    Row,
+    cases_by_clause,
+    limits,
+    motion_limits,
+    stream_limits,
+    table,
+)
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
@@ -83,20 +91,23 @@ def filled(page: str, sections: Mapping[str, str]) -> str:
 
 
 def datagram_table(fields: tuple[Field, ...]) -> str:
-    """Offset (from the start of these fields), type, unit, range and meaning of every field."""
+    """Offset (from the start of these fields), type, range with unit, and meaning of every field."""
 
     def span(field: Field) -> str:
         if field.enum is not None:
-            return f"see {field.enum.__name__}"
+            return field.enum.__name__
         if field.code not in "BHIQ" or (field.low == 0 and field.high is None):
-            return "–" if field.code in ("x", "4s", "16s") else "any"
+            return ""
         return f"{field.low}…{field.highest}" if field.low < field.highest else str(field.low)
 
     rows = (
-        (offset, field.name, _counted(IEC[field.code], field), field.unit or "–", span(field), field.meaning)
+        (
+            offset, field.name, _counted(IEC[field.code], field), f"{span(field)} {field.unit}".strip(),
+            field.meaning,
+        )
         for field, offset in zip(fields, offsets(fields), strict=True)
-    )
-    return table("offset | field | type | unit | range | meaning", rows)
+    )  # fmt: skip
+    return table("offset | field | type | range, unit | meaning", rows)
 
 
 def _counted(kind: str, field: Field) -> str:
@@ -117,7 +128,7 @@ def payload_tables() -> str:
 
 
 def register_table(rows: tuple[Register, ...]) -> str:
-    """Address, type, unit, scale and meaning of every register."""
+    """Address, type, range with unit, scale and meaning of every register."""
 
     def span(row: Register) -> str:
         if row.constant is not None:
@@ -127,12 +138,12 @@ def register_table(rows: tuple[Register, ...]) -> str:
         return f"{row.low / row.scale:.10g}…{row.high / row.scale:.10g}"
 
     return table(
-        "address | words | register | type | unit | 1 digit | range | meaning",
+        "address | words | register | type | 1 digit | range, unit | meaning",
         (
             (
                 f"{row.address:#06x}", row.words, row.name,
                 IEC_WORDS[row.code] + (f"[{row.count}]" if row.count > 1 else ""),
-                row.unit or "–", f"1/{row.scale:g}" if row.scale != 1.0 else 1, span(row), row.meaning,
+                f"1/{row.scale:g}" if row.scale != 1.0 else 1, f"{span(row)} {row.unit}".strip(), row.meaning,
             )
             for row in rows
         ),
@@ -161,18 +172,24 @@ def _constant(name: str) -> int:
 
 
 def session_table(rows: tuple[Row, ...]) -> str:
-    """State, event, next state, reaction."""
-    return table("state | event | next state | sends", ((r.state, r.event, r.then, r.sends) for r in rows))
+    """State, event, next state where it is another one, reaction."""
+    return table(
+        "state | event | next state | sends",
+        ((r.state, r.event, "" if r.then == r.state else r.then, r.sends.replace("–", "")) for r in rows),
+    )
 
 
 def group_table() -> str:
-    """Every command and reference in every mode of the group: next mode and the reason that answers."""
+    """Every command and reference in every mode of the group: the reason that answers, and the next mode."""
     return table(
         "in | " + " | ".join(COLUMNS.get(asked, asked.name) for asked in Asked),
         (
             [
                 mode.name,
-                *(f"{t.mode.name}: {t.reason.name}" for t in (ANSWERS[mode, asked] for asked in Asked)),
+                *(
+                    t.reason.name if t.mode is mode else f"{t.reason.name}→{t.mode.name}"
+                    for t in (ANSWERS[mode, asked] for asked in Asked)
+                ),
             ]
             for mode in Mode
         ),
@@ -227,7 +244,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "motion limits": motion_limits,
     "server states": lambda: session_table(SERVER_ROWS),
     "client states": lambda: session_table(CLIENT_ROWS),
-    "kinds": lambda: table("kind | name", ((kind.value, kind.name) for kind in Kind)),
+    "kinds": lambda: ", ".join(f"{kind.value} {kind.name}" for kind in Kind) + ".",
     "commands": lambda: enumeration(CommandCode, COMMAND_TEXTS),
     "group states": lambda: enumeration(GroupState, GROUP_STATE_TEXTS),
     "group transitions": group_table,
@@ -261,10 +278,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
             "RESET_WATCHDOG": "a rising edge clears WATCHDOG_TRIPPED",
         },
     ),
-    "cases": lambda: table(
-        "case | clause | moves | question",
-        ((case.number, case.clause, "yes" if case.motion else "", case.title) for case in reference_cases()),
-    ),
+    "cases": lambda: cases_by_clause(reference_cases()),
     "golden": golden,
     "stream limits": stream_limits,
 }  # fmt: skip

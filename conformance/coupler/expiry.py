@@ -5,7 +5,7 @@ from conformance.coupler.frames import ADDRESS, FUNCTION, VALUE, count
 from conformance.coupler.limits import BETWEEN, nowhere_requests
 from conformance.coupler.outputs import every_write, spare_word
 from conformance.coupler.owners import impossible_writes
-from conformance.coupler.reach import OWN
+from conformance.coupler.registers import OWN
 from conformance.coupler.retrigger import SHORT_MS, readings, require_unarmed
 from conformance.coupler.tester_clock import LATE_MS, now_ms, require_expiry, timed, wait
 from conformance.coupler.watchdog import EXPIRED, let_expire

@@ -4,7 +4,7 @@ from conformance.case import coupler
 from conformance.coupler.frames import ADDRESS, FUNCTION, VALUE
 from conformance.coupler.limits import BETWEEN, nowhere_requests
 from conformance.coupler.outputs import OWNED, every_write, spare_word
-from conformance.coupler.reach import OWN
+from conformance.coupler.registers import OWN
 from conformance.coupler.tester_clock import (
     LATE_MS,
     LOOK_EACH_MS,

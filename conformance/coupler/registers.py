@@ -3,7 +3,8 @@
 import time
 
 from conformance.case import coupler
-from conformance.coupler.frames import ADDRESS
+from conformance.coupler.frames import ADDRESS, VALUE
+from conformance.coupler.limits import coils_request
 from conformance.master import (
     EXCHANGE,
     INPUTS,
@@ -21,6 +22,7 @@ from conformance.master import (
 from conformance.wire import Unsupported, require
 from protocol.coupler_registers import (
     ANALOG_OUTPUT_BITS,
+    COUPLER_TABLE,
     IDENTIFICATION,
     STATUS,
     STATUS_CONFIGURATION,
@@ -28,6 +30,7 @@ from protocol.coupler_registers import (
     WATCHDOG_LEFT_MS,
     WATCHDOG_TIME_MS,
 )
+from protocol.process_image import INPUT_LAYOUT, INPUT_TABLE, INPUT_WORDS
 
 case = coupler.case
 
@@ -150,3 +153,157 @@ def spare_bits(master: Master) -> None:
     if count == 0:
         raise Unsupported("no digital inputs")
     require(master.bits(READ_DISCRETE, 0, count) < 1 << count, "spare bits are set")
+
+
+OWN = [row.address + at for row in COUPLER_TABLE for at in range(row.words)]
+WRITABLE = [row.address for row in COUPLER_TABLE if row.writable]
+CHANGING = (STATUS, WATCHDOG_LEFT_MS)
+STATUS_WORD = next(row.address for row in INPUT_TABLE if row.name == "status")
+TRIES = 10
+
+
+def blocks_of(addresses: list[int]) -> list[range]:
+    """Addresses that follow each other, as ranges."""
+    blocks: list[range] = []
+    for address in sorted(addresses):
+        if blocks and blocks[-1].stop == address:
+            blocks[-1] = range(blocks[-1].start, address + 1)
+        else:
+            blocks.append(range(address, address + 1))
+    return blocks
+
+
+def plant_words(master: Master) -> list[int]:
+    """The inputs with the digital ones behind them; raises Unsupported for another plant's."""
+    if input_words(master) < INPUT_WORDS:
+        raise Unsupported("inputs of another plant")
+    words = master.words(INPUTS, input_words(master))
+    if words[1] != INPUT_LAYOUT:
+        raise Unsupported("inputs of another plant")
+    return words
+
+
+@case(831, "3.1", "every own register is read with 3 and with 4, one by one and as a block")
+def own_registers_read(master: Master) -> None:
+    for function in (READ_HOLDING, READ_INPUT):
+        for block in blocks_of(OWN):
+            words = master.words(block.start, len(block), function)
+            for address, word in zip(block, words, strict=True):
+                alone = master.words(address, 1, function)[0]
+                require(
+                    address in CHANGING or alone == word, f"{address:#06x} with {function}: {alone}, {word}"
+                )
+
+
+@case(832, "3.5", "the words beside the own registers are refused with 2, alone and along with them")
+def beside_own_registers(master: Master) -> None:
+    for function in (READ_HOLDING, READ_INPUT):
+        for block in blocks_of(OWN):
+            for address, size in (
+                (block.start - 1, 1),
+                (block.stop, 1),
+                (block.start - 1, len(block) + 1),
+                (block.start, len(block) + 1),
+            ):
+                pdu = read_request(function, address, size)
+                master.refused(pdu, ADDRESS, f"{size} at {address:#06x} with {function}")
+
+
+@case(833, "3.6", "no read-only register is written with 6, 16 or 23: 2")
+def read_only_registers(master: Master) -> None:
+    count = input_words(master)
+    inputs = [INPUTS, INPUTS + 1, INPUTS + count - 1]
+    for address in inputs + [each for each in OWN if each not in WRITABLE]:
+        for pdu in (
+            word_request(address, 0), write_request(address, [0]), exchange_request(INPUTS, 1, address, [0])
+        ):  # fmt: skip
+            master.refused(pdu, ADDRESS, f"writing {address:#06x} with {pdu[0]}")
+
+
+@case(834, "3.6", "own registers are written one by one, none with 23, and no word beside them: 2")
+def own_registers_written(master: Master) -> None:
+    for block in blocks_of(OWN):
+        for address in (block.start - 1, block.stop):
+            master.refused(word_request(address, 0), ADDRESS, f"writing {address:#06x} with 6")
+            master.refused(write_request(address, [0]), ADDRESS, f"writing {address:#06x} with 16")
+    for address in WRITABLE:
+        pdu = exchange_request(INPUTS, 1, address, [0])
+        master.refused(pdu, ADDRESS, f"writing {address:#06x} with 23")
+        master.refused(write_request(address - 1, [0, 0]), ADDRESS, f"two words that end at {address:#06x}")
+        master.refused(write_request(address, [0, 0]), ADDRESS, f"two words at {address:#06x}")
+
+
+@case(835, "3.5", "the words beside the outputs are refused with 2, alone and along with them")
+def beside_outputs(master: Master) -> None:
+    count = output_words(master)
+    for address, size in ((OUTPUTS - 1, 1), (OUTPUTS + count, 1), (OUTPUTS - 1, 2), (OUTPUTS + count - 1, 2)):
+        what = f"{size} at {address:#06x}"
+        if size == 1:
+            master.refused(word_request(address, 0), ADDRESS, f"writing {what} with 6")
+        master.refused(write_request(address, [0] * size), ADDRESS, f"writing {what} with 16")
+        exchange = exchange_request(INPUTS, 1, address, [0] * size)
+        master.refused(exchange, ADDRESS, f"writing {what} with 23")
+        master.refused(read_request(READ_HOLDING, address, size), ADDRESS, f"reading {what} with 3")
+
+
+@case(836, "3.1", "function code 4 reads none of the outputs: 2")
+def outputs_are_no_inputs(master: Master) -> None:
+    for address in range(OUTPUTS, OUTPUTS + output_words(master)):
+        master.refused(read_request(READ_INPUT, address, 1), ADDRESS, f"{address:#06x} with 4")
+
+
+@case(837, "3.4", "coils beyond the digital outputs are written neither with 5 nor with 15: 2")
+def coils_beyond(master: Master) -> None:
+    count = master.lengths().digital_outputs
+    for address in (count, 0xFFFF):
+        master.refused(bytes([5]) + address.to_bytes(2, "big") + b"\0\0", ADDRESS, f"coil {address} with 5")
+        master.refused(coils_request(address, 1, b"\0"), ADDRESS, f"coil {address} with 15")
+    if count:
+        master.refused(coils_request(count - 1, 2, b"\0"), ADDRESS, "the last coil and one more with 15")
+        master.refused(
+            coils_request(0, count + 1, bytes(count // 8 + 1)), ADDRESS, f"{count + 1} coils with 15"
+        )
+
+
+@case(838, "3.7", "every digital input is found at its own address")
+def each_digital_input(master: Master) -> None:
+    size = master.lengths().digital_inputs
+    if size == 0:
+        raise Unsupported("no digital inputs")
+    for _ in range(TRIES):
+        before = master.bits(READ_DISCRETE, 0, size)
+        alone = sum(master.bits(READ_DISCRETE, at, 1) << at for at in range(size))
+        if before == master.bits(READ_DISCRETE, 0, size):  # they stood still meanwhile
+            require(alone == before, f"one by one {alone:#x}, together {before:#x}")
+            return
+    raise Unsupported("the digital inputs never stand still")
+
+
+@case(839, "3.7", "the bits that fill up the last byte are zero, however many are read")
+def fill_bits(master: Master) -> None:
+    lengths = master.lengths()
+    for function, size in ((READ_COILS, lengths.digital_outputs), (READ_DISCRETE, lengths.digital_inputs)):
+        for bits in range(1, min(size, 40) + 1):
+            require(master.bits(function, 0, bits) < 1 << bits, f"{bits} bits with {function}: more are set")
+
+
+@case(840, "3.7", "the digital inputs repeat the register status, in the same exchange")
+def digital_inputs_of_this_plant(master: Master) -> None:
+    words = plant_words(master)
+    require(len(words) > INPUT_WORDS, "no digital inputs behind the analog ones")
+    require(words[INPUT_WORDS] == words[STATUS_WORD], f"{words[INPUT_WORDS]:#x}, {words[STATUS_WORD]:#x}")
+
+
+@case(841, "3.2", "the identification is the same in one piece, word by word and to every master")
+def one_identification(master: Master) -> None:
+    words = master.words(OWN[0], 7)
+    other = master.second()
+    for _ in range(TRIES):
+        require([other.word(OWN[0] + at) for at in range(7)] == words, "it changed")
+    require(words[0] != 0, "it is empty")
+
+
+@case(842, "2.2", "the address is judged after the length for own registers too")
+def order_for_own_registers(master: Master) -> None:
+    master.refused(read_request(READ_HOLDING, OWN[0], 126), VALUE, "126 own registers")
+    master.refused(write_request(OWN[0], [0])[:-1], VALUE, "a read-only register, one byte short")

@@ -7,9 +7,17 @@ from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.framing import stop
-from conformance.reference.group import disabled, expect_reason, reach, reference_reason
 from conformance.reference.handshake import granted, require_begun
-from conformance.reference.motion import STEP_M, moved, scaled, standby
+from conformance.reference.motion import (
+    STEP_M,
+    disabled,
+    expect_reason,
+    moved,
+    reach,
+    reference_reason,
+    scaled,
+    standby,
+)
 from conformance.wire import MS, require
 from protocol.datagram_layout import HEADER_BYTES, MAX_WAYPOINTS, PAYLOADS, Kind, offsets
 from protocol.faults import CommandCode, GroupState, Reason

@@ -7,8 +7,7 @@ from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import FLAGS, refused, stop, used
-from conformance.reference.handshake import granted
-from conformance.reference.lifetime import SLACK_MS
+from conformance.reference.handshake import SLACK_MS, granted
 from conformance.wire import MS, SEQUENCES, Failed, Unsupported, require
 from protocol.authentication import DirectionKey, LinkKey
 from protocol.datagram import Header, encode

@@ -8,8 +8,16 @@ from typing import Any
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.group import disabled, expect_reason, reach, wanted
-from conformance.reference.motion import DRIFT_M, STEP_M, moved, scaled
+from conformance.reference.motion import (
+    DRIFT_M,
+    STEP_M,
+    disabled,
+    expect_reason,
+    moved,
+    reach,
+    scaled,
+    wanted,
+)
 from conformance.wire import ANSWER_MS, MS, Unsupported, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose

@@ -18,10 +18,8 @@ from foundation.recording.recording_thread import RecordingThread, RecordSink
 from foundation.recording.session import session_entries
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
-from protocol.faults import FaultCode, GroupState, Severity
 from protocol.pose import Pose
 from protocol.process_image import SensorImage
-from protocol.reference_messages import State
 
 FILE = "controller.mcap"
 STATE, FRAMES, LOG = "/controller/state", "/tf", "/controller/log"
@@ -70,25 +68,6 @@ def state_bytes(inputs: ScanInput, view: ControllerView) -> bytes:
         values |= zip(_PRESSURES, (bar for pair in sensors.pressures_bar for bar in pair), strict=True)
         values |= {name: getattr(sensors, name) for name in _READ}
     return bytes(StateMessage(**values).SerializeToString())
-
-
-def state_of_message(said: Any) -> State:
-    """The State that a longreach.ControllerState goes back to; counters that it does not have are zero."""
-    values: dict[str, Any] = {name: getattr(said, name) for name in _COUNTS}
-    values |= {
-        name: tuple(getattr(said, pattern.format(joint)) for joint in _JOINTS)
-        for name, pattern in _SIXES.items()
-    }
-    for name in _POSES:
-        parts = [getattr(said, f"{name}_{part}") for part in _POSE]
-        values[name] = Pose((parts[0], parts[1], parts[2]), (parts[3], parts[4], parts[5], parts[6]))
-    kinds = {"group_state": GroupState, "fault": FaultCode, "severity": Severity}
-    values |= {name: kind(values[name]) for name, kind in kinds.items()}
-    counted: dict[str, Any] = dict.fromkeys(
-        ("overruns", "lateness_p50_us", "lateness_p99_us", "lateness_max_us", "references_lost",
-         "references_dropped"), 0
-    )  # fmt: skip
-    return State(time_ns=0, motion_done=said.motion_done, supply_bar=said.supply_bar, **values, **counted)
 
 
 def _frames_bytes(view: ControllerView) -> bytes:

@@ -32,10 +32,10 @@ from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash
 from foundation.durations import DurationHistogram, percent_missed
 from foundation.event_log import EventLog, Level
+from foundation.live.feed import LiveShow, open_show
 from foundation.live.metrics import Spread, exposition
-from foundation.live.opening import LiveShow, open_show
 from foundation.overload import Limit, Tally
-from foundation.recording.directories import recording_directory
+from foundation.recording.recovery import recording_directory
 from foundation.scheduling import take_fifo
 from foundation.secret_source import read_key
 from foundation.self_watch import SelfWatch

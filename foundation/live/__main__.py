@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 from foundation.event_log import EventLog, process_log
 from foundation.live.face import LiveFace
-from foundation.live.opening import access_of
+from foundation.live.feed import access_of
 from foundation.live.settings import LiveSettings
 from foundation.ports import bound_tcp
 from foundation.scheduling import take_policy

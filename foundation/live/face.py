@@ -19,8 +19,8 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from foundation.event_log import EventLog
-from foundation.live import foxglove, wire
-from foundation.live.latest import LatestQueue
+from foundation.live import wire
+from foundation.live.wire import LatestQueue
 from foundation.rest.access import Access
 from foundation.rest.guard import AccessGuard
 from foundation.rest.problems import MEDIA_TYPE, problem
@@ -102,7 +102,7 @@ class Viewer:
         """Send a message; where the viewer does not keep up, newer ones take its place."""
         number = self.subscribed.get(channel)
         if number is not None:
-            self._queue.put(channel, foxglove.message_data(number, log_ns, data), len(data))
+            self._queue.put(channel, wire.message_data(number, log_ns, data), len(data))
             self._more.set()
 
     async def keep_sending(self) -> None:
@@ -134,7 +134,7 @@ class LiveFace:
             self._met,
             sock=listener,
             process_request=self._asked,
-            subprotocols=[Subprotocol(name) for name in foxglove.SUBPROTOCOLS],
+            subprotocols=[Subprotocol(name) for name in wire.SUBPROTOCOLS],
             compression=None,
             open_timeout=_HANDSHAKE_S,
             max_size=_REQUEST_BYTES,
@@ -167,7 +167,7 @@ class LiveFace:
     def _joined(self, said: wire.FeedHello, writer: asyncio.StreamWriter) -> Feeder:
         feeder = Feeder(said, writer, self._numbers)
         self._feeders.append(feeder)
-        self._tell(foxglove.advertise(feeder.channels))
+        self._tell(wire.advertise(feeder.channels))
         return feeder
 
     def _left(self, feeder: Feeder | None) -> None:
@@ -178,7 +178,7 @@ class LiveFace:
             for viewer in self._viewers:
                 for channel in gone:
                     viewer.subscribed.pop(channel, None)
-            self._tell(foxglove.unadvertise(gone))
+            self._tell(wire.unadvertise(gone))
 
     def _tell(self, text: str) -> None:
         for viewer in self._viewers:
@@ -189,16 +189,16 @@ class LiveFace:
         viewer = Viewer(connection)
         self._viewers.append(viewer)
         session = self._feeders[0].session if self._feeders else ""
-        viewer.say(foxglove.server_info(self._name, session))
+        viewer.say(wire.server_info(self._name, session))
         for feeder in self._feeders:
-            viewer.say(foxglove.advertise(feeder.channels))
+            viewer.say(wire.advertise(feeder.channels))
         sending = asyncio.create_task(viewer.keep_sending())
         try:
             async for message in connection:
                 try:
-                    self._subscribe(viewer, foxglove.subscriptions(message))
+                    self._subscribe(viewer, wire.subscriptions(message))
                 except ValueError as error:
-                    viewer.say(foxglove.warning(str(error)[:200]))
+                    viewer.say(wire.warning(str(error)[:200]))
         except ConnectionClosed:
             pass
         finally:
@@ -206,7 +206,7 @@ class LiveFace:
             sending.cancel()
             self._tell_wanted()
 
-    def _subscribe(self, viewer: Viewer, asked: foxglove.Subscriptions) -> None:
+    def _subscribe(self, viewer: Viewer, asked: wire.Subscriptions) -> None:
         known = {channel.id for feeder in self._feeders for channel in feeder.channels}
         for channel, number in list(viewer.subscribed.items()):
             if number in asked.removed:
@@ -214,7 +214,7 @@ class LiveFace:
         new = {channel: number for number, channel in asked.added.items() if channel in known}
         viewer.subscribed |= new
         for channel in set(asked.added.values()) - known:
-            viewer.say(foxglove.warning(f"there is no channel {channel}"))
+            viewer.say(wire.warning(f"there is no channel {channel}"))
         for feeder in self._feeders:
             for channel in new.keys() & feeder.newest.keys():
                 viewer.show(channel, *feeder.newest[channel])

@@ -9,8 +9,8 @@ import numpy as np
 from mcap.records import Channel, Footer, Message, Metadata
 from numpy.typing import NDArray
 
+from foundation.recording.decoding import walk
 from foundation.recording.messages import fields_of
-from foundation.recording.reading import walk
 from plant_emulator.shell.truth_message import truth_of
 from plant_emulator.shell.truth_recorder import (
     CAPTURE,

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from foundation.event_log import EventLog
-from foundation.live.feed import Opened
+from foundation.live.feed import LiveShow, Opened, open_show
 from foundation.live.metrics import Spread, exposition
-from foundation.live.opening import LiveShow, open_show
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
-from foundation.recording.directories import recording_directory
 from foundation.recording.recording_thread import RecordingThread
+from foundation.recording.recovery import recording_directory
 from foundation.recording.session import session_entries
 from foundation.scheduling import take_fifo
 from foundation.self_watch import SelfWatch

@@ -10,8 +10,7 @@ import typer
 
 from foundation.command_options import options_of, with_signature
 from testbed.campaigns.options import ShownExperiment, pinned
-from testbed.cli.every_command import dressed
-from testbed.cli.later import LaterGroup
+from testbed.cli.later import LaterGroup, dressed
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.experiments.catalogue import OURS, Entry, catalogue
 from testbed.reporting.console import out, words, writable, write_json

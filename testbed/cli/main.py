@@ -73,7 +73,7 @@ def programs(json_file: JsonFile = None) -> None:
 
     Exit status 1 when one of an installed package cannot be run.
     """
-    from testbed.cli.programs import list_programs
+    from testbed.cli.doctor import list_programs
 
     raise typer.Exit(0 if list_programs(json_file) else 1)
 
@@ -129,23 +129,14 @@ def replay(
     decisions: Annotated[
         bool, typer.Option("--decisions", help="Programs alone: no picture is measured in again.")
     ] = False,
-    console: Annotated[
-        bool, typer.Option("--console", help="Nothing runs again: show it in the operator's page.")
-    ] = False,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="With --console: where; 0 takes a free one.")
-    ] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Run vision's perception and programs again over a recording; exit status 1 unless all is as recorded.
 
     Every measurement and every reference is compared; the first that differs is told with both values.
     """
-    from testbed.recordings.command import ReplayRequest, run_console, run_replay
+    from testbed.recordings.command import ReplayRequest, run_replay
 
-    if console:
-        run_console(file, truth, port)
-        return
     request = ReplayRequest(file, truth, settings or [], plot, json_file, decisions, ahead=True)
     raise typer.Exit(0 if run_replay(request) else 1)
 

@@ -88,25 +88,6 @@ def to_csv(
     write_json(json_file, {"rows": rows, "left_out": left_out})
 
 
-@app.command("to-ros2", epilog="Example: longreach recording to-ros2 session.mcap --out bag")
-def to_ros2_command(
-    file: File,
-    directory: Annotated[Path, typer.Option("--out", help="The bag: a directory that is not there yet.")],
-    json_file: JsonFile = None,
-) -> None:
-    """Write a recording as a ROS 2 bag of standard messages: pictures, frames, joints, poses, scene, log."""
-    from testbed.recordings.ros2 import to_ros2
-
-    with nothing_half_made(directory):
-        made = to_ros2(file, directory)
-    for damage in made.damages:
-        out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
-    out.print(table(str(directory), ("topic", "messages"), [*made.written.items()]))
-    if made.left_out:
-        out.print(f"left out, no standard message says it: {', '.join(made.left_out)}", highlight=False)
-    write_json(json_file, made._asdict() | {"damages": [damage._asdict() for damage in made.damages]})
-
-
 @app.command("merge", epilog="Example: longreach recording merge runs/demo --out session.mcap")
 def merge_command(
     what: Annotated[
@@ -130,17 +111,6 @@ def merge_command(
     ]
     out.print(table("vision's clock minus each part's", ("part", "ms", "ppm", "± µs"), rows))
     write_json(json_file, {name: clock._asdict() for name, clock in clocks.items()})
-
-
-@app.command("layout", epilog="Example: longreach recording layout --out longreach.json")
-def layout_command(
-    target: Annotated[Path, typer.Option("--out", help="Where the layout goes.")],
-) -> None:
-    """Write a viewer's layout: scene, picture with outlines, plots and log of a merged recording."""
-    from testbed.recordings.layout import layout_text
-
-    with target.open("x", encoding="utf-8") as file:
-        file.write(layout_text())
 
 
 def _whole(found: "Contents") -> bool:

@@ -37,7 +37,7 @@ LATER = {
         "Example: longreach sniff --interface lo --port 47000",
     ),
     "proxy": Later(
-        "testbed.fault_proxy.command:proxy",
+        "testbed.fault_proxy.proxy:proxy",
         "Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C.",
         "Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02",
     ),

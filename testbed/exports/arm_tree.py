@@ -1,9 +1,11 @@
-"""An arm as URDF and MJCF both can say it: joints and bodies; nominal, or true with its hinges."""
+"""The arm as a tree of joints, and the XML that formats write."""
 
 import math
 from typing import NamedTuple
+from xml.etree import ElementTree as etree
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from nominal_arm.description import JOINT_NAMES, JointConfig, NominalArm
 from nominal_arm.dimensions import DhLink, dh_links
@@ -141,3 +143,27 @@ def _rest(link: DhLink) -> Array:
     c, s = math.cos(link.alpha), math.sin(link.alpha)
     turned = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
     return transform(turned, np.array([link.a, 0.0, link.d]))
+
+
+TOOL = "tool"  # name of the link or body of the tool centre point
+RADIUS_M = 0.06  # of the rods that viewers show; no number of the machine
+_SHORTEST_M = 0.02  # a rod shorter than this is not drawn
+
+
+def numbers(values: ArrayLike) -> str:
+    """The values in a row, each with all its digits; a negative zero loses its sign."""
+    return " ".join(repr(float(value) + 0.0) for value in np.ravel(np.asarray(values)))
+
+
+def document(root: etree.Element, tree: ArmTree) -> str:
+    """The indented document, with what the arm is in a comment at its head."""
+    root.insert(0, etree.Comment(f" {tree.about} "))
+    etree.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
+
+
+def rod_end(tree: ArmTree, index: int) -> Array | None:
+    """Where the rod of link ``index`` ends, in the link's frame; None when there is nothing to draw."""
+    behind = tree.joints[index + 1 : index + 2]
+    end = behind[0].X_PJ[:3, 3] if behind else tree.X_LT[:3, 3]
+    return end if np.linalg.norm(end) > _SHORTEST_M else None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protocol.errors import ConfigurationError
-from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Settings
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Settings
 from testbed.reporting.console import out, writable, write_json
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def urdf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as URDF, for ROS, Pinocchio and viewers: links, joints, masses; no springs, no gravity."""
-    from testbed.exports.urdf import urdf
+    from testbed.exports.formats import urdf
 
     _write(urdf, _tree(config_dir, settings, true), file, json_file)
 
@@ -45,28 +45,9 @@ def mjcf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as MJCF, for MuJoCo; with --true also the springs and dampers of its hinges, and gravity."""
-    from testbed.exports.mjcf import mjcf
+    from testbed.exports.formats import mjcf
 
     _write(mjcf, _tree(config_dir, settings, true, springs=True), file, json_file)
-
-
-@app.command("fmu", epilog="Example: longreach export fmu --scenario standard --seed 7 --out plant.fmu")
-def fmu_command(
-    file: Target,
-    scenario: Annotated[str | None, typer.Option(help="Draws its world; none: as configured.")] = None,
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    json_file: JsonFile = None,
-) -> None:
-    """The plant as an FMU (FMI 2.0): valves in, sensors out, stepped by the Longreach installed there."""
-    from testbed.exports.fmu import write_fmu
-    from testbed.scenarios.settings import chosen_overrides, load_settings
-
-    chosen = load_settings(config_dir, chosen_overrides(config_dir, scenario, seed, settings or []))
-    write_fmu(chosen, seed, file)
-    out.print(f"{file}: {file.stat().st_size / 1e3:.0f} kB, seed {seed}", highlight=False, soft_wrap=True)
-    write_json(json_file, {"file": file, "scenario": scenario, "seed": seed})
 
 
 def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: bool = False) -> "ArmTree":

@@ -6,23 +6,111 @@ from collections import deque
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
 from foundation.configuration import parse_overrides
-from foundation.recording.reading import Damage
+from foundation.recording.decoding import Damage
 from foundation.recording.session import session_entries
 from protocol.errors import ConfigurationError
 from testbed.recordings.comparison import ALIKE, ReplayComparison
-from testbed.recordings.console.server import show_recording
-from testbed.recordings.console.timeline import Timeline
 from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.perception_replay import (
+    LOOK,
+    OBSERVATION,
+    ODOMETRY,
     PerceptionReplay,
     pixels_for,
 )
-from testbed.recordings.pixels import RenderedPixels
+from testbed.recordings.pixels import RenderedAhead, RenderedPixels, rendered_ahead
 from testbed.recordings.recorded_vision import RecordedVision, recorded_vision
-from testbed.recordings.rendering import RenderedAhead, rendered_ahead
-from testbed.recordings.what_if import Moved, WhatIf
 from testbed.reporting.console import out, table, write_json
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
+from vision_pc.shell.recording import vision_messages as own
+
+_PLACES = {
+    (OBSERVATION, "p_CM"): ("tool in a frame", own.ObservationMessage),
+    (OBSERVATION, "p_CO"): ("object in a frame", own.ObservationMessage),
+    (ODOMETRY, "p_C0C"): ("camera by odometry", own.OdometryMessage),
+    (LOOK, "p_CM"): ("tool in a look", own.LookMessage),
+    (LOOK, "p_CO"): ("object in a look", own.LookMessage),
+}
+Points = NDArray[np.float64]
+
+
+class Moved(NamedTuple):
+    """What became of one kind of place: how often it was measured before, now, and both times, and how far
+    it moved then (mm, median and largest).
+    """
+
+    what: str
+    recorded: int
+    replayed: int
+    both: int
+    median_mm: float | None
+    largest_mm: float | None
+
+
+class WhatIf:
+    """Gathers places from recorded messages and from those that came out again."""
+
+    def __init__(self) -> None:
+        self._places: dict[tuple[str, str], list[tuple[int, Points, Points]]] = {key: [] for key in _PLACES}
+
+    def take(self, kind: str, recorded: Any, replayed: bytes) -> None:
+        """Keep the places of one message and of what came out again."""
+        for key, (_, message) in _PLACES.items():
+            if key[0] == kind:
+                again = message.FromString(replayed)
+                stamp = recorded.time_ns if kind == LOOK else recorded.capture_ns
+                self._places[key].append((stamp, _point(recorded, key[1]), _point(again, key[1])))
+
+    def table(self) -> list[Moved]:
+        """A row for each kind of place that was measured at all."""
+        rows = []
+        for key, (what, _) in _PLACES.items():
+            _, before, now = self._series(key)
+            there = [~np.isnan(points).any(axis=1) for points in (before, now)]
+            both = there[0] & there[1]
+            if there[0].any() or there[1].any():
+                mm = 1e3 * np.linalg.norm((now - before)[both], axis=1)
+                figures = (float(np.median(mm)), float(mm.max())) if len(mm) else (None, None)
+                rows.append(Moved(what, int(there[0].sum()), int(there[1].sum()), int(both.sum()), *figures))
+        return rows
+
+    def plot(self, path: Path) -> None:
+        """Write how far each kind of place moved along the recording, axis by axis, to ``path``."""
+        shown = [key for key in _PLACES if len(self._series(key)[0]) and key[0] != LOOK]
+        with matplotlib.rc_context(STYLE):
+            figure = Figure(figsize=(7.0, 1.9 * max(len(shown), 1)), layout="constrained")
+            panels = figure.subplots(max(len(shown), 1), 1, squeeze=False, sharex=True)[:, 0]
+            for axes, key in zip(panels, shown, strict=False):
+                stamps, before, now = self._series(key)
+                for axis, colour in enumerate(AXIS_COLOURS):
+                    moved = 1e3 * (now - before)[:, axis]
+                    axes.plot(
+                        1e-9 * (stamps - stamps[0]), moved, ".-", color=colour, label="xyz"[axis], lw=0.8
+                    )
+                axes.set_ylabel("mm")
+                axes.set_title(f"{_PLACES[key][0]}: replayed minus recorded", loc="left")
+            if shown:
+                panels[0].legend(ncols=3, loc="upper right")
+            panels[-1].set_xlabel("s")
+            figure.savefig(path)
+
+    def _series(self, key: tuple[str, str]) -> tuple[NDArray[np.int64], Points, Points]:
+        places = self._places[key]
+        stamps = np.array([stamp for stamp, _, _ in places], dtype=np.int64)
+        before, now = (np.array([place[side] for place in places]).reshape(-1, 3) for side in (1, 2))
+        return stamps, before, now
+
+
+def _point(message: Any, name: str) -> Points:
+    fields = [f"{name}_{axis}_m" for axis in "xyz"]
+    there = all(message.HasField(field) for field in fields)
+    return np.array([getattr(message, field) if there else np.nan for field in fields])
 
 
 class ReplayRequest(NamedTuple):
@@ -73,25 +161,6 @@ def run_replay(request: ReplayRequest) -> bool:
         out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
     write_json(request.json_file, figures | {"damages": [damage._asdict() for damage in damages]})
     return bool(overrides) or (all(each.identical for each in compared) and not damages)
-
-
-def run_console(file: Path, truth: Path | None, port: int) -> None:
-    """Show a recording in the operator's page until it is interrupted.
-
-    Raises RecordingUnreadable, ConfigurationError, OSError.
-    """
-
-    def told(address: str, timeline: Timeline, pictures: str) -> None:
-        seconds = 1e-9 * (timeline.last_ns - timeline.first_ns)
-        out.print(f"console: {address} ({seconds:.1f} s recorded)", highlight=False, soft_wrap=True)
-        out.print(f"pictures: {pictures}", highlight=False, soft_wrap=True)
-        if timeline.without_states:
-            why = f"nothing of the controller: {timeline.without_states}"
-            out.print(why, highlight=False, soft_wrap=True)
-        for damage in timeline.damages:
-            out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
-
-    show_recording(recorded_vision(file), truth, port, told)
 
 
 def _replay_perception(

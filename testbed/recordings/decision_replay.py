@@ -17,15 +17,15 @@ from protocol.errors import LongreachError
 from protocol.reference_messages import Command, Request, StreamedPose
 from testbed.lockstep.clock import run
 from testbed.recordings.comparison import OPERATION, REFERENCE, ReplayComparison
-from testbed.recordings.recorded_operations import (
+from testbed.recordings.recorded_vision import (
     AnsweredCall,
     BegunOperation,
     Ending,
     RecordedOperations,
+    RecordedVision,
     SentReference,
     in_json,
 )
-from testbed.recordings.recorded_vision import RecordedVision
 from testbed.recordings.replayed_ports import (
     UNTIMED,
     LeavesReplay,

@@ -9,14 +9,12 @@ import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from mcap.records import Attachment, Message
 
-from foundation.recording.decoding import class_in
+from foundation.recording.decoding import RecordingUnreadable, class_in, messages, walk
 from foundation.recording.mcap_file import Topic
 from foundation.recording.messages import PosedFrame, format_of, transforms
-from foundation.recording.reading import RecordingUnreadable, messages, walk
 from foundation.recording.recovery import Contents, contents, new_recording
 from plant_emulator.shell.scene_messages import CAMERA, WORLD
 from plant_emulator.shell.truth_recorder import CAPTURE
-from testbed.recordings.layout import layout_text
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_recorder as vision
 from vision_pc.shell.recording.vision_pictures import BASE_FRAME, CAMERA_FRAMES
@@ -55,8 +53,8 @@ class _Part(NamedTuple):
 def merge(files: Sequence[Path], target: Path, attached: Sequence[Path] = ()) -> dict[str, ClockMap]:
     """Write all messages of ``files``, recordings of one session, to ``target``; return each part's clock.
 
-    ``log_time`` and the time stamps of well-known messages are then the vision PC's. A viewer's layout and
-    the files ``attached``, such as the arm as URDF, are attached under their names. Raises OSError,
+    ``log_time`` and the time stamps of well-known messages are then the vision PC's. The files
+    ``attached``, such as the arm as URDF, are attached under their names. Raises OSError,
     FileExistsError, RecordingUnreadable: ``recording.other_session``, ``recording.twice``,
     ``recording.no_clock``, ``recording.not_vision``, ``recording.no_session``.
     """
@@ -203,10 +201,8 @@ def _metadata(parts: Mapping[str, _Part], clocks: Mapping[str, ClockMap]) -> dic
 
 
 def _attachments(files: Sequence[Path]) -> list[Attachment]:
-    layout = Attachment(0, 0, "layout.json", "application/json", layout_text().encode())
     kinds = {".urdf": "application/xml", ".json": "application/json"}
-    given = [
+    return [
         Attachment(0, 0, path.name, kinds.get(path.suffix, "application/octet-stream"), path.read_bytes())
         for path in files
     ]
-    return [layout, *given]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from foundation.recording.reading import Damage, RecordingUnreadable, messages
+from foundation.recording.decoding import Damage, RecordingUnreadable, messages
 from protocol.errors import MeasurementFailed
 from testbed.recordings.comparison import ReplayComparison
 from testbed.recordings.pixels import KeptPixels, Pixels, RecordedStamp, RenderedPixels, checked

@@ -12,7 +12,7 @@ import numpy as np
 
 from protocol.faults import CommandCode
 from protocol.reference_messages import Command, ReferencePath, ReferencePose, Request, StreamedPose
-from testbed.recordings.recorded_operations import AnsweredCall, RecordedOperations
+from testbed.recordings.recorded_vision import AnsweredCall, RecordedOperations
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array, to_pose
 from vision_pc.core.types import Look, WatchHealth, WatchSample

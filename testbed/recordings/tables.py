@@ -5,8 +5,7 @@ from pathlib import Path
 
 from mcap.records import Message
 
-from foundation.recording.decoding import decoder
-from foundation.recording.reading import walk
+from foundation.recording.decoding import decoder, walk
 from foundation.recording.recovery import contents
 
 TIMES = ("log_time_ns", "publish_time_ns")

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
 
-from testbed.reporting.pages import rendered
 from testbed.reporting.plots import svg
+from testbed.reporting.report import rendered
 from testbed.reporting.run_record import KeptRun, beginning
 
 _PIXELS_PER_INCH = 100  # of a figure at its natural width

@@ -11,7 +11,7 @@ from pathlib import Path
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.reporting import run_record as record
 from testbed.reporting.ctrl_c import kept_on_ctrl_c
-from testbed.reporting.pages import rendered
+from testbed.reporting.report import rendered
 from testbed.reporting.run_record import RECORD_FILE, KeptRun
 
 INDEX = "index.html"

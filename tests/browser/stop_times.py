@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controller.shell.scan_recorder import STATE, StateMessage
-from foundation.recording.reading import messages
+from foundation.recording.decoding import messages
 from nominal_arm.description import JOINT_NAMES
 from protocol.faults import GroupState
 

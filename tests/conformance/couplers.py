@@ -1,4 +1,4 @@
-"""A coupler in a thread of its own, to be asked over a real socket; and ones with a fault each."""
+"""Our own coupler in a thread of its own, to be asked over a real socket."""
 
 import asyncio
 import socket
@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, ClassVar
+from typing import ClassVar, Self
 
 from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
 from plant_emulator.shell.coupler import Coupler
@@ -38,19 +38,54 @@ class ShiftedClock:
         self._shift_ns += round(max(seconds - _SETTLES_S, 0.0) * 1e9)
 
 
-class ThreadedCoupler:
-    """Our own coupler; a mutant overrides what it gets wrong."""
+class Threaded:
+    """Serves on ``port`` in a thread of its own until it is left."""
+
+    def __init__(self) -> None:
+        self.port = 0
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop: asyncio.Event | None = None
+
+    async def _run(self) -> None:
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        with socket.socket() as bound:
+            bound.bind(("127.0.0.1", 0))
+            self.port = bound.getsockname()[1]
+            await self.serve(bound, self._stop)
+
+    async def serve(self, bound: socket.socket, stop: asyncio.Event) -> None:
+        """Listen, call ``ready``, and return when ``stop`` is set."""
+        raise NotImplementedError
+
+    def ready(self) -> None:
+        """Clients may come."""
+        self._ready.set()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        assert self._ready.wait(10.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._loop is not None
+        assert self._stop is not None
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(10.0)
+
+
+class ThreadedCoupler(Threaded):
+    """Our own coupler on a plant that rests."""
 
     clock: ClassVar[ShiftedClock | None] = None
 
     def __init__(self) -> None:
+        super().__init__()
         self.written: list[ValveImage] = []
         self._valves = ValveCommands(ValveDrive((0,) * 6, (0.0,) * 6), MOTION_WATCHDOG_NS)
-        self.port = 0
-        self._ready = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._stop: asyncio.Event | None = None
 
     def make(self) -> Coupler:
         """The coupler to serve."""
@@ -78,36 +113,10 @@ class ThreadedCoupler:
             SensorImage(cycle, self._valves.echo_cycle, status, counts, pressures, 190.0, 10.0, 40.0)
         )
 
-    def altered(self, coupler: Coupler, master: Any, unit: int, pdu: bytes, answer: Any) -> bytes:
-        """The answer to give; ``answer()`` makes the right one."""
-        right: bytes = answer(pdu)
-        return right
-
-    async def _serve(self) -> None:
-        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+    async def serve(self, bound: socket.socket, stop: asyncio.Event) -> None:
+        """Answer until ``stop``."""
         coupler = self.make()
-        right = coupler.answer
-
-        def answer(master: object, unit: int, pdu: bytes) -> bytes:
-            return self.altered(coupler, master, unit, pdu, lambda asked: right(master, unit, asked))
-
-        coupler.answer = answer  # type: ignore[method-assign]
-        with socket.socket() as bound:
-            bound.bind(("127.0.0.1", 0))
-            _, self.port = await coupler.start(bound)
-            self._ready.set()
-            await self._stop.wait()
-            await coupler.stop()
-
-    def __enter__(self) -> "ThreadedCoupler":
-        self._thread.start()
-        assert self._ready.wait(10.0)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        assert self._loop is not None
-        assert self._stop is not None
-        self._loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join(10.0)
+        await coupler.start(bound)
+        self.ready()
+        await stop.wait()
+        await coupler.stop()

@@ -1,11 +1,11 @@
-"""How many broken controllers the suite catches, and by which case.
+"""How many broken controllers and couplers the suites catch, and by which case.
 
 ``python -m tests.conformance.mutant_report`` asks every case of every broken controller, in simulated time,
-and prints a line for each clause and for each controller that no case catches. ``--clause 5`` or ``--clause
+and prints a line for each clause and for each controller that no case catches; ``--coupler``: of every broken
+coupler, over real sockets, with a clock that is moved instead of waited for. ``--clause 5`` or ``--clause
 5.3``: only these; ``--name TEXT``: only those whose name has it; ``--every``: all cases that catch one, not
-the first alone. ``--rows FILE``: keep the verdicts there, and take those of the same code from there, so that
-a run can be cut short, go on, and be shared by ``--part 1/3`` and its like. It ends with status 1 when one
-is not caught for which no reason is written.
+the first alone. ``--part 1/3`` and its like share a run. It ends with status 1 when one is not caught for
+which no reason is written.
 """
 
 import argparse
@@ -15,15 +15,18 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import groupby
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from conformance.case import ConformanceCase
-from conformance.outcome import GOOD, Result
-from conformance.runner import reference_cases, run_reference
+from conformance.case import GOOD, CaseOutcome, ConformanceCase, Result
+from conformance.coupler import tester_clock
+from conformance.runner import coupler_cases, reference_cases, run_coupler, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.kept_verdicts import KeptVerdicts
+from tests.conformance.coupler.page_coupler import PageServer
+from tests.conformance.coupler.systematic import MUTANTS as COUPLERS
+from tests.conformance.coupler.systematic import BrokenCoupler
+from tests.conformance.couplers import ShiftedClock
+from tests.conformance.mutator import BrokenController
 from tests.conformance.simulated_network import simulated
 
 FOR_A_KEY = set(range(701, 722)) | set(range(723, 741))
@@ -32,38 +35,23 @@ FOR_NO_KEY = {722}
 SLOW = {327, 328}
 # Each has MUTANTS, a tuple of BrokenController.
 SOURCES: tuple[str, ...] = (
-    "tests.conformance.mutants.named",
+    "tests.conformance.named_edits",
+    "tests.conformance.named_hooks",
     "tests.conformance.systematic_table",
     "tests.conformance.systematic_fields",
     "tests.conformance.systematic_checks",
-    "tests.conformance.systematic_drops",
-    "tests.conformance.systematic_answers",
+    "tests.conformance.systematic_effects",
     "tests.conformance.systematic_limits",
     "tests.conformance.systematic_state",
-    "tests.conformance.systematic_limits_of_motion",
     "tests.conformance.systematic_motions",
     "tests.conformance.systematic_streams",
 )
 
 
-class BrokenController(NamedTuple):
-    """A controller that breaks one clause. ``unseen``: why nobody can tell from outside, if so.
-
-    ``case``: the one meant for it, which is asked first.
-    """
-
-    name: str
-    clause: str
-    make: Callable[[], ControllerUnderTest]
-    key: LinkKey | None = None
-    unseen: str = ""
-    case: int = 0
-
-
 class Verdict(NamedTuple):
     """The cases that a broken controller did not pass, in the order in which they were asked."""
 
-    broken: BrokenController
+    broken: BrokenController | BrokenCoupler
     caught_by: tuple[int, ...]
 
 
@@ -165,6 +153,30 @@ def controllers_in_simulated_time() -> Iterator[None]:
             ControllerUnderTest.network = before
 
 
+@contextmanager
+def shifted_clock() -> Iterator[ShiftedClock]:
+    """The tester's clock is moved instead of waited for."""
+    before, clock = tester_clock.time, ShiftedClock()
+    tester_clock.time = clock  # type: ignore[assignment]
+    try:
+        yield clock
+    finally:
+        tester_clock.time = before
+
+
+def coupler_verdict(broken: BrokenCoupler, clock: ShiftedClock, *, every: bool = False) -> Verdict:
+    """Which cases fail with ``broken``, those of its clause asked first: the first, or with ``every`` all."""
+    caught = []
+    for case in sorted(coupler_cases(), key=lambda case: (case.clause != broken.clause, case.number)):
+        with PageServer(broken.rules, clock) as server:
+            summary = run_coupler("127.0.0.1", server.port, numbers=[case.number], outputs=True)
+        if summary.results[0].outcome is CaseOutcome.FAIL:
+            caught.append(case.number)
+            if not every:
+                break
+    return Verdict(broken, tuple(caught))
+
+
 def report(verdicts: Iterable[Verdict]) -> tuple[list[str], list[Verdict]]:
     """Lines to print, and those verdicts that are not as they should be."""
     by_clause: dict[str, list[Verdict]] = defaultdict(list)
@@ -198,42 +210,34 @@ def _order(clause: str) -> tuple[int, ...]:
     return tuple(int(part) for part in clause.split("."))
 
 
-def _judged(broken: BrokenController, kept: KeptVerdicts | None, every: bool) -> Verdict:
-    key = broken.clause, broken.name
-    caught_by = kept.of(*key) if kept else None
-    if caught_by is None:
-        first = broken.case or (kept.hint(*key) if kept else 0)
-        cases = asked(broken.key, broken.clause, first)
-        caught_by = verdict(broken._replace(case=first), cases, every=every).caught_by
-        if kept:
-            kept.keep(*key, caught_by)
-    print(f"{broken.clause} {broken.name}: {caught_by}", file=sys.stderr, flush=True)
-    return Verdict(broken, caught_by)
-
-
-def _wanted(options: argparse.Namespace) -> list[BrokenController]:
-    part, parts = (int(number) for number in options.part.split("/"))
-    wanted = [
-        broken
-        for broken in broken_controllers(options.source or SOURCES)
-        if not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
-        if options.name in broken.name
-    ]
-    return wanted[part - 1 :: parts]
+def _judged(broken: Any, clock: ShiftedClock, every: bool) -> Verdict:
+    if isinstance(broken, BrokenCoupler):
+        judged = coupler_verdict(broken, clock, every=every)
+    else:
+        judged = verdict(broken, asked(broken.key, broken.clause, broken.case), every=every)
+    print(f"{broken.clause} {broken.name}: {judged.caught_by}", file=sys.stderr, flush=True)
+    return judged
 
 
 def main() -> int:
     """Ask, print, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--coupler", action="store_true", help="of couplers instead of controllers")
     parser.add_argument("--clause", default="", help="only this clause, or all of 5 with 5")
     parser.add_argument("--name", default="", help="only those whose name has this text")
     parser.add_argument("--every", action="store_true", help="all cases that catch it, not the first alone")
     parser.add_argument("--source", action="append", help="only this module's; repeatable")
     parser.add_argument("--part", default="1/1", help="every third, from the first, with 1/3")
-    parser.add_argument("--rows", type=Path, help="a file that keeps the verdicts")
     options = parser.parse_args()
-    kept = KeptVerdicts(options.rows) if options.rows and not options.every else None
-    lines, wrong = report(_judged(broken, kept, options.every) for broken in _wanted(options))
+    part, parts = (int(number) for number in options.part.split("/"))
+    wanted = [
+        broken
+        for broken in (COUPLERS if options.coupler else broken_controllers(options.source or SOURCES))
+        if not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
+        if options.name in broken.name
+    ]
+    with shifted_clock() as clock:
+        lines, wrong = report(_judged(broken, clock, options.every) for broken in wanted[part - 1 :: parts])
     print("\n".join(lines))
     return 1 if wrong else 0
 

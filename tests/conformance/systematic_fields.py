@@ -8,7 +8,7 @@ padding demanded to be zero.
 import struct
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from conformance.bytes_of import resealed
 from protocol.datagram_layout import (
@@ -21,8 +21,7 @@ from protocol.datagram_layout import (
     offsets,
     size_of,
 )
-from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutant_report import BrokenController
+from tests.conformance.mutator import BrokenController, Make, hooked
 
 KIND_AT, FLAGS_AT = 6, 8
 SENT = (Kind.WELCOME, Kind.HEARTBEAT_REPLY, Kind.ACKNOWLEDGEMENT, Kind.STATE, Kind.BYE, Kind.STREAM_REFUSED)
@@ -148,38 +147,29 @@ def spoils(place: Place, other: Place) -> Iterator[tuple[str, Spoil]]:
         yield "mixed up", _mixed_up
 
 
-class _Spoiling(ControllerUnderTest):
-    """Spoils one field of what it sends or of what it receives."""
+def _spoiling(place: Place, other: Place, spoil: Spoil, *, sends: bool) -> Make:
+    """Makes controllers that spoil one field of what they send or of what they receive."""
 
-    def __init__(self, place: Place, other: Place, spoil: Spoil, *, sends: bool) -> None:
-        super().__init__()
-        self._place, self._other, self._spoil, self._sends = place, other, spoil, sends
-        self._before: bytes | None = None
-
-    def outgoing(self, data: bytes) -> list[bytes]:
-        return [self._spoiled(data) if self._sends else data]
-
-    def incoming(self, data: bytes) -> bytes | None:
-        return data if self._sends or not intact(data) else self._spoiled(data)
-
-    def _spoiled(self, data: bytes) -> bytes:
-        if self._place.kind not in (None, data[KIND_AT]):
+    def spoiled(self: Any, data: bytes) -> bytes:
+        if place.kind not in (None, data[KIND_AT]):
             return data
-        value = self._place.of(data)
-        before, self._before = self._before or value, value
-        return resealed(self._spoil(data, self._place, before, self._other))
+        value = place.of(data)
+        before, self.before = self.before or value, value
+        return resealed(spoil(data, place, before, other))
+
+    if sends:
+        return hooked(before=None, outgoing=lambda self, data: [spoiled(self, data)])
+    return hooked(before=None, incoming=lambda self, data: spoiled(self, data) if intact(data) else data)
 
 
-class _WantsZero(ControllerUnderTest):
-    """Drops a datagram whose padding is not zero."""
+def _wants_zero(place: Place) -> Make:
+    """Makes controllers that drop a datagram whose padding is not zero."""
 
-    def __init__(self, place: Place) -> None:
-        super().__init__()
-        self._place = place
+    def incoming(_: Any, data: bytes) -> bytes | None:
+        concerned = intact(data) and place.kind in (None, data[KIND_AT])
+        return None if concerned and any(place.of(data)) else data
 
-    def incoming(self, data: bytes) -> bytes | None:
-        concerned = intact(data) and self._place.kind in (None, data[KIND_AT])
-        return None if concerned and any(self._place.of(data)) else data
+    return hooked(incoming=incoming)
 
 
 def intact(data: bytes) -> bool:
@@ -198,12 +188,11 @@ def _rows() -> Iterator[BrokenController]:
             if place.field.name == "crc32":
                 continue  # made right again behind every spoiled field
             if not sends and place.field.name in ("padding", "spare"):
-                make = partial(_WantsZero, place)
-                yield BrokenController(f"wants {place.name} zero", "1.8", make)
+                yield BrokenController(f"wants {place.name} zero", "1.8", _wants_zero(place))
                 continue
             for how, spoil in spoils(place, other):
                 name = f"{verb} {place.name} {how}"
-                make = partial(_Spoiling, place, other, spoil, sends=sends)
+                make = _spoiling(place, other, spoil, sends=sends)
                 meant, unseen = MEANT.get(name, 0), UNSEEN.get(name, "")
                 yield BrokenController(name, place.clause, make, unseen=unseen, case=meant)
 

@@ -1,13 +1,19 @@
-"""Controllers that move otherwise than they were asked to.
+"""Controllers that move otherwise than they were asked to, and whose limits and times of motions are off.
 
-Clauses 6.7 to 6.9, 7.3 and 7.4.
+Clauses 6.7 to 6.9, 7.3, 7.4 and 12. Where a limit is off its refusals still name the shipped one: a
+controller with a narrower limit that it names is a sound one.
 """
 
+import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from controller.core.inbox import Inbox
+from controller.core.settings import ScanSettings
 from controller.core.trajectories.motion import holding
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, Reason
@@ -17,74 +23,47 @@ from protocol.reference_messages import (
     ReferencePose,
     Request,
     State,
+    StreamRefused,
 )
-from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutant_report import BrokenController
-from tests.conformance.mutants.breaking import says
+from tests.conformance.controllers import settings
+from tests.conformance.mutator import BrokenController, Make, hooked, reworked, says
 
-Make = Callable[[], ControllerUnderTest]
+Named = Callable[[float], float]
 
 
-class OtherRequests(ControllerUnderTest):
+def _takes(kind: type, other: Callable[[Any], Any]) -> Make:
     """Takes references for other ones."""
-
-    def __init__(self, other: Callable[[Any], Any], kind: type) -> None:
-        super().__init__()
-        self._other, self._kind = other, kind
-
-    def judge(self, request: Request) -> Request:
-        return self._other(request) if isinstance(request, self._kind) else request
+    return hooked(judge=lambda _, request: other(request) if isinstance(request, kind) else request)
 
 
 def _given(factor: float, pose: ReferencePose) -> ReferencePose:
-    usable = 0.0 < pose.duration_s < 100.0
-    return pose._replace(duration_s=pose.duration_s * factor) if usable else pose
-
-
-def _leisurely(pose: ReferencePose) -> ReferencePose:
-    return pose._replace(duration_s=3.0) if pose.duration_s == 0.0 else pose
+    return pose._replace(duration_s=pose.duration_s * factor) if 0.0 < pose.duration_s < 100.0 else pose
 
 
 def _path(segment: float, dwell: float, path: ReferencePath) -> ReferencePath:
     return path._replace(segment_s=path.segment_s * segment, dwell_s=path.dwell_s * dwell)
 
 
-def _straight_to_the_last(path: ReferencePath) -> ReferencePath:
-    return path._replace(waypoints=path.waypoints[-1:])
+def _hold(self: Any) -> None:
+    desired, number = self.bench.state.motion.desired, self.bench.state.motion.motion_id
+    self.bench.state = self.bench.state._replace(motion=holding(desired.p, desired.quaternion, number))
 
 
-def _backwards(path: ReferencePath) -> ReferencePath:
-    return path._replace(waypoints=path.waypoints[::-1])
-
-
-class RestsBetween(ControllerUnderTest):
+def _rests_at(at: Callable[[Request], bool]) -> Make:
     """Begins a new motion, or ends one, at rest: the speed has a step."""
 
-    def __init__(self, at: Callable[[Request], bool]) -> None:
-        super().__init__()
-        self._at = at
-
-    def judge(self, request: Request) -> Request:
-        motion = self.bench.state.motion
-        if self._at(request) and motion.path is not None:
-            held = holding(motion.desired.p, motion.desired.quaternion, motion.motion_id)
-            self.bench.state = self.bench.state._replace(motion=held)
+    def judge(self: Any, request: Request) -> Request:
+        if at(request) and self.bench.state.motion.path is not None:
+            _hold(self)
         return request
 
-
-def _refers(request: Request) -> bool:
-    return isinstance(request, ReferencePose)
+    return hooked(judge=judge)
 
 
-class RefusalsStop(ControllerUnderTest):
-    """Ends the motion that is followed when a reference is refused."""
-
-    def answered(self, acknowledgement: Acknowledgement) -> list[Acknowledgement]:
-        if acknowledgement.reason in (Reason.NOT_FINITE, Reason.TOO_FAR):
-            motion = self.bench.state.motion
-            held = holding(motion.desired.p, motion.desired.quaternion, motion.motion_id)
-            self.bench.state = self.bench.state._replace(motion=held)
-        return [acknowledgement]
+def _refusals_stop(self: Any, acknowledgement: Acknowledgement) -> list[Acknowledgement]:
+    if acknowledgement.reason in (Reason.NOT_FINITE, Reason.TOO_FAR):
+        _hold(self)
+    return [acknowledgement]
 
 
 class _Late(Inbox):
@@ -105,49 +84,151 @@ class _Late(Inbox):
         return (*(each for each in taken if each not in late), *due), alive
 
 
-class LateEmergency(ControllerUnderTest):
-    """Takes 60 ms to an emergency stop."""
-
-    def make_inbox(self) -> Inbox:
-        return _Late()
-
-
-class EmergencyRamps(ControllerUnderTest):
+def _emergency_ramps(self: Any, state: State) -> State:
     """Goes on driving the valves for 100 ms after an emergency stop."""
-
-    since, before = 0, (0.0,) * 6
-
-    def shown(self, state: State) -> State:
-        self.since = self.since + 1 if self.bench.state.mode is Mode.EMERGENCY else 0
-        if not self.since:
-            self.before = state.valves
-        return state._replace(valves=self.before) if 0 < self.since < 20 else state
+    self.since = self.since + 1 if self.bench.state.mode is Mode.EMERGENCY else 0
+    if not self.since:
+        self.before = state.valves
+    return state._replace(valves=self.before) if 0 < self.since < 20 else state
 
 
-def _motions() -> Iterator[BrokenController]:
+def _configured(configured: Callable[[], ScanSettings], named: dict[Reason, Named]) -> Make:
+    """Runs with other settings; refusals for a reason in ``named`` name another limit than the one in use."""
+
+    def renamed(refused: Any) -> Any:
+        name = named.get(refused.reason)
+        return refused if name is None else refused._replace(limit=name(refused.limit))
+
+    return hooked(
+        configured=lambda _: configured(),
+        answered=lambda _, answer: [renamed(answer)],
+        outgoing=lambda _, data: [reworked(data, StreamRefused, renamed)],
+    )
+
+
+def _other(override: str, **named: Named) -> Make:
+    names = {Reason[reason]: limit for reason, limit in named.items()}
+    return _configured(partial(settings, f"controller.{override}"), names)
+
+
+def _always(limit: float) -> Named:
+    return lambda _: limit
+
+
+def _one_of(*pairs: tuple[float, float]) -> Named:
+    """Names the second of a pair for the first, and others as they are."""
+    return lambda limit: next((said for used, said in pairs if math.isclose(used, limit)), limit)
+
+
+def _motions() -> Iterator[tuple[str, str, int, Make]]:
     for factor in (0.5, 0.9, 1.1, 2.0):
-        make: Make = partial(OtherRequests, partial(_given, factor), ReferencePose)
-        yield BrokenController(f"a motion takes {factor:g} of its time", "6.7", make, case=558)
-    make = partial(OtherRequests, _leisurely, ReferencePose)
-    yield BrokenController("a time of 0 is 3 s", "6.7", make, case=559)
+        make = _takes(ReferencePose, partial(_given, factor))
+        yield f"a motion takes {factor:g} of its time", "6.7", 558, make
+    leisurely = _takes(ReferencePose, lambda pose: pose._replace(duration_s=pose.duration_s or 3.0))
+    yield "a time of 0 is 3 s", "6.7", 559, leisurely
     for segment, dwell in ((2.0, 1.0), (0.7, 1.0), (1.0, 2.0), (1.0, 0.5), (1.0, 0.0)):
-        make = partial(OtherRequests, partial(_path, segment, dwell), ReferencePath)
-        yield BrokenController(f"segments of {segment:g}, dwells of {dwell:g}", "6.8", make, case=557)
-    for other in (_straight_to_the_last, _backwards):
-        name = f"a path goes{other.__name__.replace('_', ' ')}"
-        yield BrokenController(name, "6.8", partial(OtherRequests, other, ReferencePath), case=532)
-    yield BrokenController("a new motion begins at rest", "6.9", partial(RestsBetween, _refers), case=560)
-    for code in (CommandCode.STOP, CommandCode.DISABLE):
-        make = partial(RestsBetween, partial(says, code))
-        yield BrokenController(
-            f"{code.name} ends at once", "7.3", make, case=570 if code is CommandCode.STOP else 569
-        )
-    for broken, clause, case in (
-        (RefusalsStop, "6.9", 568),
-        (LateEmergency, "7.4", 571),
-        (EmergencyRamps, "7.4", 571),
+        make = _takes(ReferencePath, partial(_path, segment, dwell))
+        yield f"segments of {segment:g}, dwells of {dwell:g}", "6.8", 557, make
+    for name, part in (("straight to the last", slice(-1, None)), ("backwards", slice(None, None, -1))):
+        make = _takes(ReferencePath, lambda path, part=part: path._replace(waypoints=path.waypoints[part]))
+        yield f"a path goes {name}", "6.8", 532, make
+    refers = _rests_at(lambda request: isinstance(request, ReferencePose))
+    yield "a new motion begins at rest", "6.9", 560, refers
+    for code, case in ((CommandCode.STOP, 570), (CommandCode.DISABLE, 569)):
+        yield f"{code.name} ends at once", "7.3", case, _rests_at(partial(says, code))
+    yield "refusals stop", "6.9", 568, hooked(answered=_refusals_stop)
+    yield "takes 60 ms to an emergency stop", "7.4", 571, hooked(make_inbox=lambda _: _Late())
+    yield "an emergency stop ramps", "7.4", 571, hooked(since=0, before=(0.0,) * 6, shown=_emergency_ramps)
+
+
+def _times() -> Iterator[tuple[str, str, int, Make]]:
+    for key, values in (
+        ("silence_ms", ((50, 572), (70, 572), (120, 572), (200, 572), (900, 572))),
+        ("ramp_ms", ((2.0, 572), (72, 573))),
+        ("first_reference_ms", ((500, 574), (2000, 574), (5000, 574))),
+        ("recovery_ms", ((200, 575), (1000, 575))),
     ):
-        yield BrokenController(broken.__name__, clause, broken, case=case)
+        for value, case in values:
+            yield f"{key} of {value}", "12.8", case, _other(f"streaming.{key}={value}")
 
 
-MUTANTS = (*_motions(),)
+def _stream_limits() -> Iterator[tuple[str, str, int, Make]]:
+    degree = math.pi / 180.0
+    for factor in (0.5, 0.9, 1.1, 2.0):
+        far, turn = _one_of((0.5 * factor, 0.5)), _one_of((30.0 * factor * degree, 30.0 * degree))
+        for what, clause, case, make in (
+            ("distance", "12.4", 581, _other(f"streaming.distance_m={0.5 * factor}", TOO_FAR=far)),
+            ("angle", "12.4", 582, _other(f"streaming.turn_deg={30.0 * factor}", TOO_FAR=turn)),
+            ("age", "12.6", 584, _other(f"streaming.max_age_ms={250.0 * factor}", STALE=_always(0.25))),
+        ):
+            yield f"{what} of {factor:g} of its limit", clause, case, make
+        for name, value in (("speed_m_s", 0.25), ("turn_speed_deg_s", 12.0)):
+            make = _other(f"streaming.{name}={value * factor}", TOO_FAST=lambda x, f=factor: x / f)
+            yield f"stream {name} of {factor:g} of its limit", "12.4", 583, make
+    cases = {"distance_m=5.0": 581, "turn_deg=90.0": 582, "max_age_ms=4000.0": 584, "speed_m_s=1.0": 583}
+    for what, case in cases.items():
+        yield f"streaming {what}, and names it", "12.4", case, _other(f"streaming.{what}")
+    for what in ("acceleration_m_s2=0.7", "acceleration_m_s2=3.0", "jerk_m_s3=6.0", "jerk_m_s3=100.0"):
+        yield f"streaming {what}", "12.7", 579, _other(f"streaming.{what}")
+
+
+def _lower_floor(metres: float) -> ScanSettings:
+    sound = settings()
+    box = sound.planning.workspace.box.copy()
+    box[2, 0] += metres
+    space = sound.planning.workspace._replace(box=box)
+    return replace(sound, planning=sound.planning._replace(workspace=space))
+
+
+def _wider_joint(radians: float) -> ScanSettings:
+    sound = settings()
+    bounds = np.array(sound.planning.planned_range)
+    bounds[:, 5] += (-radians, radians)
+    return replace(sound, planning=sound.planning._replace(planned_range=bounds))
+
+
+def _motion_limits() -> Iterator[tuple[str, str, int, Make]]:
+    sound = settings()
+    motion, first = sound.motion, sound.motion.first_point_distance
+    for factor in (0.5, 0.9, 1.1, 2.0):
+        for key, limit in (("duration_min_s", motion.duration_min), ("duration_max_s", motion.duration_max)):
+            make = _other(f"motion.{key}={limit * factor}", BAD_DURATION=_one_of((limit * factor, limit)))
+            yield f"{key} of {factor:g} of its limit", "6.7", 561, make
+            yield f"{key} of {factor:g} of its limit, paths", "6.8", 562, make
+        make = _other(f"motion.first_point_distance_m={first * factor}", TOO_FAR=_always(first))
+        yield f"first pose of {factor:g} of its limit", "6.9", 564, make
+        for key, case in (("speed_m_s", 0), ("acceleration_m_s2", 563)):
+            make = _other(f"motion.{key}={0.25 * factor}", TOO_FAST=_one_of((0.25 * factor, 0.25)))
+            yield f"{key} of {factor:g} of its limit", "6.9", case, make
+    for factor in (0.5, 2.0):
+        make = _other(f"motion.singular_value_min={0.05 * factor}", SINGULAR=_always(0.05))
+        yield f"singular value of {factor:g} of its limit", "6.9", 567, make
+    for metres in (-0.3, -0.05, 0.05, 0.3):
+        floor = _always(float(sound.planning.workspace.box[2, 0]))
+        make = _configured(partial(_lower_floor, metres), {Reason.OUTSIDE_WORKSPACE: floor})
+        yield f"workspace off by {metres:g} m", "6.9", 565, make
+    for radians in (-0.2, -0.03, 0.03, 0.2):
+        low, high = map(float, sound.planning.planned_range[:, 5])
+        named = _one_of((low - radians, low), (high + radians, high))
+        make = _configured(partial(_wider_joint, radians), {Reason.JOINT_LIMIT: named})
+        yield f"joint range off by {radians:g} rad", "6.9", 566, make
+
+
+def _unseen() -> Iterator[BrokenController]:
+    for what, why in (
+        ("ramp_ms", "to slow down 12 ms early costs a hundredth of a millimetre"),
+        ("recovery_ms", "back at full pace sooner: what is bounded is how late"),
+    ):
+        value = {"ramp_ms": 24, "recovery_ms": 50}[what]
+        yield BrokenController(f"{what} of {value}", "12.8", _other(f"streaming.{what}={value}"), unseen=why)
+
+
+_TOO_SHORT = "60 mm are too short a way to reach it"
+ROWS = (*_motions(), *_times(), *_stream_limits(), *_motion_limits())
+MUTANTS = (
+    *(
+        BrokenController(name, clause, make, unseen="" if case else _TOO_SHORT, case=case)
+        for name, clause, case, make in ROWS
+    ),
+    *_unseen(),
+)

@@ -22,37 +22,30 @@ from protocol.reference_messages import (
     State,
 )
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutant_report import BrokenController
+from tests.conformance.mutator import BrokenController, Make, hooked
 
 STALE_SCANS = 40
-KIND = 6
+# From the STATEs of the last 200 ms, the newest last, the fields that are shown otherwise.
 Shown = Callable[[deque[State]], dict[str, Any]]
 
 
-class ShowsOtherwise(ControllerUnderTest):
-    """Shows fields of STATE otherwise; ``fields`` gets the STATEs of the last 200 ms, the newest last."""
+def _shows(fields: Shown) -> Make:
+    """Makes controllers that show fields of STATE otherwise."""
 
-    def __init__(self, fields: Shown) -> None:
-        super().__init__()
-        self._fields = fields
-        self._before: deque[State] = deque(maxlen=STALE_SCANS + 1)
+    def shown(self: Any, state: State) -> State:
+        self.states = getattr(self, "states", None) or deque(maxlen=STALE_SCANS + 1)
+        self.states.append(state)
+        return state._replace(**fields(self.states))
 
-    def shown(self, state: State) -> State:
-        self._before.append(state)
-        return state._replace(**self._fields(self._before))
+    return hooked(shown=shown)
 
 
-class _Frozen:
-    """The field as it was first."""
+def _frozen(name: str) -> Make:
+    def shown(self: Any, state: State) -> State:
+        self.first = getattr(self, "first", getattr(state, name))
+        return state._replace(**{name: self.first})
 
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._first: Any = None
-
-    def __call__(self, states: deque[State]) -> dict[str, Any]:
-        if self._first is None:
-            self._first = getattr(states[-1], self._name)
-        return {self._name: self._first}
+    return hooked(shown=shown)
 
 
 def _stale(name: str, states: deque[State]) -> dict[str, Any]:
@@ -61,13 +54,7 @@ def _stale(name: str, states: deque[State]) -> dict[str, Any]:
 
 def _swapped(a: str, b: str, states: deque[State]) -> dict[str, Any]:
     of_a, of_b = getattr(states[-1], a), getattr(states[-1], b)
-    if isinstance(of_a, tuple):
-        return {a: of_b, b: of_a}
-    return {a: type(of_a)(of_b), b: type(of_b)(of_a)}
-
-
-def _always(value: dict[str, Any], states: deque[State]) -> dict[str, Any]:
-    return value
+    return {a: of_b, b: of_a} if isinstance(of_a, tuple) else {a: type(of_a)(of_b), b: type(of_b)(of_a)}
 
 
 def _flag(bit: int, value: bool, states: deque[State]) -> dict[str, Any]:
@@ -153,96 +140,71 @@ FLAGS: dict[tuple[int, bool], tuple[str, Row]] = {
 }
 
 
-def _broken(name: str, row: Row, make: Callable[[], ControllerUnderTest]) -> BrokenController:
-    clause, case, unseen = row
-    return BrokenController(name, clause, make, unseen=unseen, case=case)
-
-
 def _of_fields() -> Iterator[BrokenController]:
-    def made(shown: Callable[[], Shown]) -> Callable[[], ControllerUnderTest]:
-        return lambda: ShowsOtherwise(shown())
+    def broken(name: str, row: Row, make: Make) -> BrokenController:
+        clause, case, unseen = row
+        return BrokenController(name, clause, make, unseen=unseen, case=case)
 
     for name, row in STALE.items():
-        yield _broken(f"{name} 200 ms old", row, made(lambda name=name: partial(_stale, name)))
+        yield broken(f"{name} 200 ms old", row, _shows(partial(_stale, name)))
     for name, row in FROZEN.items():
-        yield _broken(f"{name} frozen", row, made(lambda name=name: _Frozen(name)))
+        yield broken(f"{name} frozen", row, _frozen(name))
     for pair, row in SWAPPED.items():
-        yield _broken(f"{' and '.join(pair)} swapped", row, made(lambda pair=pair: partial(_swapped, *pair)))
+        yield broken(f"{' and '.join(pair)} swapped", row, _shows(partial(_swapped, *pair)))
     for name, (value, row) in ALWAYS.items():
-        yield _broken(f"always {name}", row, made(lambda value=value: partial(_always, value)))
+        yield broken(f"always {name}", row, _shows(lambda _, value=value: value))
     for (bit, on), (name, row) in FLAGS.items():
-        yield _broken(f"flag: always {name}", row, made(lambda bit=bit, on=on: partial(_flag, bit, on)))
+        yield broken(f"flag: always {name}", row, _shows(partial(_flag, bit, on)))
 
 
-class NegatedValves(ControllerUnderTest):
-    """Shows the valves with the other sign."""
-
-    def shown(self, state: State) -> State:
-        a, b, c, d, e, f = (-valve for valve in state.valves)
-        return state._replace(valves=(a, b, c, d, e, f))
+def _negates_the_valves(_: Any, state: State) -> State:
+    return state._replace(valves=tuple(-valve for valve in state.valves))
 
 
-class CommandStays(ControllerUnderTest):
-    """Shows the last command of a drive for as long as nothing is driven."""
+def _keeps(*fields: str) -> Make:
+    """Shows these fields of the last drive for as long as nothing is driven."""
 
-    live: State | None = None
-
-    def shown(self, state: State) -> State:
+    def shown(self: Any, state: State) -> State:
         held = state.group_state in (GroupState.DISABLED, GroupState.ERROR_STOP) and not any(state.valves)
         if not held or self.live is None:
             self.live = state
             return state
-        return state._replace(q_cmd=self.live.q_cmd, X_BT_cmd=self.live.X_BT_cmd)
+        return state._replace(**{name: getattr(self.live, name) for name in fields})
+
+    return hooked(live=None, shown=shown)
 
 
-class FollowsOnlyInJoints(CommandStays):
-    """Of what follows the measurement forgets the pose."""
-
-    def shown(self, state: State) -> State:
-        return super().shown(state)._replace(q_cmd=state.q_cmd)
-
-
-class SlowerStates(ControllerUnderTest):
+def _slower_states(factor: float, after_s: float) -> Make:
     """Sends STATE at a share of the granted rate, from ``after_s`` on."""
 
-    def __init__(self, factor: float, after_s: float = 0.0) -> None:
-        super().__init__()
-        self._factor, self._after_ns = factor, int(after_s * 1e9)
-        self._granted: dict[int, tuple[int, int]] = {}
-
-    def _scan(self) -> None:
+    def scan(self: Any) -> None:
         session = self.server._session
         if session is not None:
-            key = session.channel.session
-            begun_ns, period_ms = self._granted.setdefault(
-                key, (self._clock_ns(), session.welcome.state_period_ms)
-            )
-            if period_ms and self._clock_ns() - begun_ns > self._after_ns:
-                slowed = max(round(period_ms * self._factor), 1)
+            start = self._clock_ns(), session.welcome.state_period_ms
+            begun_ns, period_ms = self.granted.setdefault((id(self), session.channel.session), start)
+            if period_ms and self._clock_ns() - begun_ns > after_s * 1e9:
+                slowed = max(round(period_ms * factor), 1)
                 session.welcome = session.welcome._replace(state_period_ms=slowed)
-        super()._scan()
+        ControllerUnderTest._scan(self)
+
+    return hooked(granted={}, _scan=scan)
 
 
-class FaultEndsWithSession(ControllerUnderTest):
-    """A new session clears fault and severity."""
-
-    def incoming(self, data: bytes) -> bytes | None:
-        if len(data) > KIND and data[KIND] == Kind.HELLO:
-            self.bench.state = self.bench.state._replace(fault=NO_FAULT, severity=Severity.NONE)
-        return data
+def _fault_ends_with_session(self: Any, data: bytes) -> bytes:
+    if data[6:7] == bytes([Kind.HELLO]):
+        self.bench.state = self.bench.state._replace(fault=NO_FAULT, severity=Severity.NONE)
+    return data
 
 
-class ChangesWhatIsLatched(ControllerUnderTest):
-    """Latches otherwise than 7.6: ``latched`` gets fault and severity of before and after a scan."""
+def _latches(latched: Callable[[Any, Any], dict[str, Any]]) -> Make:
+    """Latches otherwise than 7.6: ``latched`` gets the scan's state of before and after a scan."""
 
-    def __init__(self, latched: Callable[[Any, Any], dict[str, Any]]) -> None:
-        super().__init__()
-        self._latched = latched
-
-    def _scan(self) -> None:
+    def scan(self: Any) -> None:
         before = self.bench.state
-        super()._scan()
-        self.bench.state = self.bench.state._replace(**self._latched(before, self.bench.state))
+        ControllerUnderTest._scan(self)
+        self.bench.state = self.bench.state._replace(**latched(before, self.bench.state))
+
+    return hooked(_scan=scan)
 
 
 def _newest_fault(before: Any, after: Any) -> dict[str, Any]:
@@ -260,81 +222,67 @@ def _cleared_by_release(before: Any, after: Any) -> dict[str, Any]:
     return {"fault": NO_FAULT, "severity": Severity.NONE} if released else {}
 
 
-def _severity_kept(before: Any, after: Any) -> dict[str, Any]:
+def _kept_at_reset(name: str, before: Any, after: Any) -> dict[str, Any]:
     reset = before.mode is Mode.ERROR_HELD and after.mode is Mode.DISABLED
-    return {"severity": before.severity} if reset else {}
+    return {name: getattr(before, name)} if reset else {}
 
 
-def _fault_kept(before: Any, after: Any) -> dict[str, Any]:
-    reset = before.mode is Mode.ERROR_HELD and after.mode is Mode.DISABLED
-    return {"fault": before.fault} if reset else {}
-
-
-class OfAnotherLink(ControllerUnderTest):
+def _other_link(mode: Mode, then: Mode) -> Make:
     """Reacts otherwise to a lost link in one mode."""
+    cell = mode, Stimulus.UNATTENDED
 
-    def __init__(self, mode: Mode, then: Mode) -> None:
-        super().__init__()
-        self._cell, self._then = (mode, Stimulus.UNATTENDED), then
-
-    def _scan(self) -> None:
-        right = TRANSITIONS[self._cell]
-        TRANSITIONS[self._cell] = right._replace(mode=self._then)
-        before = self.bench.state.mode
+    def scan(self: Any) -> None:
+        right, before = TRANSITIONS[cell], self.bench.state.mode
+        TRANSITIONS[cell] = right._replace(mode=then)
         try:
-            super()._scan()
+            ControllerUnderTest._scan(self)
         finally:
-            TRANSITIONS[self._cell] = right
-        reacted = before is Mode.MOVING and self.bench.state.mode is Mode.ERROR_RAMP
-        if reacted and self._cell[0] is Mode.MOVING:  # the scan knows this one by itself
-            self.bench.state = self.bench.state._replace(mode=self._then)
+            TRANSITIONS[cell] = right
+        # The scan knows this one by itself.
+        if before is mode is Mode.MOVING and self.bench.state.mode is Mode.ERROR_RAMP:
+            self.bench.state = self.bench.state._replace(mode=then)
+
+    return hooked(_scan=scan)
 
 
-class StopsTakeNoMotion(ControllerUnderTest):
-    """Calls a motion that was stopped done."""
-
-    def shown(self, state: State) -> State:
-        return state._replace(motion_done=state.group_state is GroupState.STANDBY and state.motion_id != 0)
+def _stopped_is_done(_: Any, state: State) -> State:
+    return state._replace(motion_done=state.group_state is GroupState.STANDBY and state.motion_id != 0)
 
 
-class RefusalUndoesDone(ControllerUnderTest):
-    """Takes motion_done back 100 ms after it was set."""
-
-    since = 0
-
-    def shown(self, state: State) -> State:
-        self.since = self.since + 1 if state.motion_done else 0
-        return state._replace(motion_done=0 < self.since < 20)
+def _done_is_taken_back(self: Any, state: State) -> State:
+    self.since = self.since + 1 if state.motion_done else 0
+    return state._replace(motion_done=0 < self.since < 20)
 
 
-def _others() -> Iterator[BrokenController]:
-    for make, clause, case in (
-        (NegatedValves, "7.7", 518),
-        (CommandStays, "7.7", 513),
-        (FollowsOnlyInJoints, "7.7", 513),
-        (FaultEndsWithSession, "7.6", 514),
-        (FaultEndsWithSession, "7.4", 515),
-        (StopsTakeNoMotion, "7.8", 517),
-        (RefusalUndoesDone, "7.8", 516),
-    ):
-        yield BrokenController(make.__name__, clause, make, case=case)
-    for what in (_newest_fault, _first_severity, _cleared_by_release, _severity_kept, _fault_kept):
-        name = f"latched:{what.__name__.replace('_', ' ')}"
-        yield BrokenController(name, "7.6", partial(ChangesWhatIsLatched, what), case=514)
-    for factor, after_s in ((1.25, 0.0), (2.0, 0.0), (2.0, 1.0), (0.5, 0.0)):
-        name = f"STATE at {1 / factor:g} of its rate, from {after_s:g} s on"
-        yield BrokenController(name, "7.7", partial(SlowerStates, factor, after_s), case=411)
-    for mode, then, case in (
-        (Mode.STANDBY, Mode.STANDBY, 540),
-        (Mode.STANDBY, Mode.ERROR_HELD, 540),
-        (Mode.MOVING, Mode.STOPPING, 529),
-        (Mode.MOVING, Mode.DISABLING, 529),
-        (Mode.MOVING, Mode.ERROR_HELD, 860),
-        (Mode.STOPPING, Mode.STOPPING, 539),
-        (Mode.DISABLING, Mode.ERROR_RAMP, 519),
-    ):
-        name = f"a lost link in {mode.name} leads to {then.name}"
-        yield BrokenController(name, "7.5", partial(OfAnotherLink, mode, then), case=case)
-
-
-MUTANTS = (*_of_fields(), *_others())
+OTHERS: tuple[tuple[str, str, int, Make], ...] = (
+    ("the valves have the other sign", "7.7", 518, hooked(shown=_negates_the_valves)),
+    ("the command stays", "7.7", 513, _keeps("q_cmd", "X_BT_cmd")),
+    ("follows in joints only", "7.7", 513, _keeps("X_BT_cmd")),
+    ("a new session clears the fault", "7.6", 514, hooked(incoming=_fault_ends_with_session)),
+    ("a new session clears the emergency's fault", "7.4", 515, hooked(incoming=_fault_ends_with_session)),
+    ("a motion that was stopped is done", "7.8", 517, hooked(shown=_stopped_is_done)),
+    ("done is taken back after 100 ms", "7.8", 516, hooked(since=0, shown=_done_is_taken_back)),
+    ("latches the newest fault", "7.6", 514, _latches(_newest_fault)),
+    ("latches the first severity", "7.6", 514, _latches(_first_severity)),
+    ("EMERGENCY_RELEASE clears the fault", "7.6", 514, _latches(_cleared_by_release)),
+    ("RESET keeps the severity", "7.6", 514, _latches(partial(_kept_at_reset, "severity"))),
+    ("RESET keeps the fault", "7.6", 514, _latches(partial(_kept_at_reset, "fault"))),
+    *(
+        (f"STATE at {1 / factor:g} of its rate, from {after_s:g} s on", "7.7", 411,
+         _slower_states(factor, after_s))
+        for factor, after_s in ((1.25, 0.0), (2.0, 0.0), (2.0, 1.0), (0.5, 0.0))
+    ),
+    *(
+        (f"a lost link in {mode.name} leads to {then.name}", "7.5", case, _other_link(mode, then))
+        for mode, then, case in (
+            (Mode.STANDBY, Mode.STANDBY, 540), (Mode.STANDBY, Mode.ERROR_HELD, 540),
+            (Mode.MOVING, Mode.STOPPING, 529), (Mode.MOVING, Mode.DISABLING, 529),
+            (Mode.MOVING, Mode.ERROR_HELD, 860), (Mode.STOPPING, Mode.STOPPING, 539),
+            (Mode.DISABLING, Mode.ERROR_RAMP, 519),
+        )
+    ),
+)  # fmt: skip
+MUTANTS = (
+    *_of_fields(),
+    *(BrokenController(name, clause, make, case=case) for name, clause, case, make in OTHERS),
+)

@@ -3,268 +3,194 @@
 Clause 12.
 """
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 from controller.core.group_states import TRANSITIONS, Stimulus
-from controller.core.inbox import Inbox
 from controller.core.trajectories.motion import holding
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, Reason
-from protocol.reference_messages import (
-    Acknowledgement,
-    Request,
-    State,
-    StreamedPose,
-    StreamRefused,
-)
-from protocol.session_events import ServerEvent, StreamedPoseReceived
+from protocol.reference_messages import Request, State, StreamRefused
+from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutant_report import BrokenController
-from tests.conformance.mutants.breaking import reworked, says
+from tests.conformance.mutator import BrokenController, Make, edited, hooked, reworked, says
 
-Make = Callable[[], ControllerUnderTest]
-
-
-class OtherReferences(ControllerUnderTest):
-    """Takes streamed references for other ones."""
-
-    def __init__(self, other: Callable[[StreamedPoseReceived], StreamedPoseReceived]) -> None:
-        super().__init__()
-        self._other = other
-
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        return self._other(arrival)
+_scan_of = ControllerUnderTest._scan
 
 
-def _twisted(linear: float, angular: float, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-    vx, vy, vz, wx, wy, wz = arrival.message.twist_ref
-    if max(map(abs, arrival.message.twist_ref)) > 0.1:
-        return arrival
-    twist = (vx * linear, vy * linear, vz * linear, wx * angular, wy * angular, wz * angular)
-    return arrival._replace(message=arrival.message._replace(twist_ref=twist))
+def _twisted(linear: float, angular: float) -> Make:
+    def other(_: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        if max(map(abs, arrival.message.twist_ref)) > 0.1:
+            return arrival
+        factors = (linear,) * 3 + (angular,) * 3
+        before = arrival.message.twist_ref
+        twist = tuple(value * factor for value, factor in zip(before, factors, strict=True))
+        return arrival._replace(message=arrival.message._replace(twist_ref=twist))
+
+    return hooked(judge_streamed=other)
 
 
-def _shuffled(arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+def _shuffled(_: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
     vx, vy, vz, wx, wy, wz = arrival.message.twist_ref
     return arrival._replace(message=arrival.message._replace(twist_ref=(vz, vx, vy, wz, wx, wy)))
 
 
-def _of_now(arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+def _of_now(_: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
     return arrival._replace(measured_ns=max(arrival.measured_ns, arrival.left_ns))
 
 
-class JudgesInAnotherOrder(ControllerUnderTest):
+ORDER = (
+    Reason.NOT_STREAMING, Reason.OVERTAKEN, Reason.STALE, Reason.NOT_FINITE, Reason.NOT_UNIT_QUATERNION,
+    Reason.TOO_FAST, Reason.TOO_FAR,
+)  # fmt: skip
+
+
+def _judges_first(second: Reason, first: Reason) -> Make:
     """Refuses for ``second`` what should be refused for ``first``, when it breaks both rules."""
 
-    def __init__(self, first: Reason, second: Reason) -> None:
-        super().__init__()
-        self._first, self._second = first, second
-        self._last: StreamedPose | None = None
-
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        self._last = arrival.message
-        return arrival
-
-    def outgoing(self, data: bytes) -> list[bytes]:
-        def swapped(refused: StreamRefused) -> StreamRefused:
-            both = refused.reason is self._first and self._breaks()
-            return refused._replace(reason=self._second) if both else refused
-
-        return [reworked(data, StreamRefused, swapped)]
-
-    def _breaks(self) -> bool:
-        message, stream = self._last, self.bench.state.stream
-        assert message is not None
+    def breaks(self: Any) -> bool:
+        message, stream = self.last, self.bench.state.stream
         pose = message.X_BT_ref
-        rules = {
+        return bool({
             Reason.OVERTAKEN: stream is not None and message.number == stream.number,
             Reason.STALE: self._clock_ns() - message.time_ns > 10**9,
             Reason.NOT_FINITE: not pose.is_finite(),
             Reason.NOT_UNIT_QUATERNION: abs(pose.quaternion_norm() - 1.0) > 1e-3,
             Reason.TOO_FAST: max(map(abs, message.twist_ref)) > 1.0,
             Reason.TOO_FAR: abs(pose.p_m[2]) > 50.0,
-        }
-        return rules[self._second]
+        }[second])  # fmt: skip
+
+    def outgoing(self: Any, data: bytes) -> list[bytes]:
+        def swapped(refused: StreamRefused) -> StreamRefused:
+            return refused._replace(reason=second) if refused.reason is first and breaks(self) else refused
+
+        return [reworked(data, StreamRefused, swapped)]
+
+    noting = _noting("last", lambda arrival: arrival.message)
+    return hooked(last=None, judge_streamed=noting, outgoing=outgoing)
 
 
-ORDER = (
-    Reason.NOT_STREAMING,
-    Reason.OVERTAKEN,
-    Reason.STALE,
-    Reason.NOT_FINITE,
-    Reason.NOT_UNIT_QUATERNION,
-    Reason.TOO_FAST,
-    Reason.TOO_FAR,
-)
+def _noting(name: str, what: Callable[[StreamedPoseReceived], Any]) -> Any:
+    """The hook that keeps something of each streamed reference."""
 
-
-class RefusedTakesItsNumber(ControllerUnderTest):
-    """Counts a refused reference as the newest."""
-
-    number = 0
-
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        self.number = arrival.message.number
+    def judge_streamed(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        setattr(self, name, what(arrival))
         return arrival
 
-    def _scan(self) -> None:
-        super()._scan()
-        stream = self.bench.state.stream
-        if stream is not None and self.number:
-            self.bench.state = self.bench.state._replace(stream=stream._replace(number=self.number))
+    return judge_streamed
 
 
-class RefusedIsFresh(ControllerUnderTest):
-    """Takes a reference that it refuses for a sign of life."""
+def _stream(self: Any, **fields: Any) -> None:
+    stream = self.bench.state.stream
+    if stream is not None:
+        self.bench.state = self.bench.state._replace(stream=stream._replace(**fields))
 
-    came = False
 
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        self.came = True
+def _counts_the_refused(self: Any) -> None:
+    _scan_of(self)
+    if self.number:
+        _stream(self, number=self.number)
+
+
+def _refused_is_fresh(self: Any) -> None:
+    if self.came:
+        _stream(self, fresh_ns=self._clock_ns())
+    self.came = False
+    _scan_of(self)
+
+
+def _answers_the_superseded(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+    if self.waits is not None:
+        refused = StreamRefused(self.waits.stream_id, self.waits.number, Reason.OVERTAKEN, 0.0, 0.0)
+        self.server.refuse_streamed(refused, self._clock_ns())
+    self.waits = arrival.message
+    return arrival
+
+
+def _forgets_what_waits(self: Any) -> None:
+    _scan_of(self)
+    self.waits = None
+
+
+def _wants_every_number(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+    stream = self.bench.state.stream
+    if stream is None or stream.goal is None or (arrival.message.number - stream.number) % 2**32 < 9:
         return arrival
-
-    def _scan(self) -> None:
-        stream = self.bench.state.stream
-        if stream is not None and self.came:
-            fresh = stream._replace(fresh_ns=self._clock_ns())
-            self.bench.state = self.bench.state._replace(stream=fresh)
-        self.came = False
-        super()._scan()
+    return arrival._replace(message=arrival.message._replace(number=stream.number))
 
 
-class AnswersTheSuperseded(ControllerUnderTest):
-    """Refuses those of a burst that it does not judge."""
-
-    waits: StreamedPose | None = None
-
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        if self.waits is not None:
-            refused = StreamRefused(self.waits.stream_id, self.waits.number, Reason.OVERTAKEN, 0.0, 0.0)
-            self.server.refuse_streamed(refused, self._clock_ns())
-        self.waits = arrival.message
-        return arrival
-
-    def _scan(self) -> None:
-        super()._scan()
-        self.waits = None
+def _ends_where_it_is(self: Any) -> None:
+    before = self.bench.state.mode
+    _scan_of(self)
+    state = self.bench.state
+    if before is Mode.STREAMING and state.mode is Mode.MOVING:
+        held = holding(state.motion.desired.p, state.motion.desired.quaternion, state.motion.motion_id)
+        self.bench.state = state._replace(motion=held._replace(done=True))
 
 
-class _KeepsTheFirst(Inbox):
-    def put(self, events: list[ServerEvent]) -> list[Acknowledgement]:
-        first = self._streamed
-        refused = super().put(events)
-        if first is not None and self._streamed is not None:
-            self._streamed = first
-        came = [each for each in events if isinstance(each, StreamedPoseReceived)]
-        if first is None and came and self._streamed is not None:
-            self._streamed = came[0]
-        return refused
+def _goes_on_with_the_twist(self: Any, request: Request) -> Request:
+    stream = self.bench.state.stream
+    if says(CommandCode.END_STREAM, request) and stream is not None and stream.goal is not None:
+        _stream(self, goal=stream.goal._replace(p=stream.goal.p + 0.5 * self.bench.state.motion.desired.v))
+    return request
 
 
-class FollowsTheOldest(ControllerUnderTest):
-    """Of a burst follows the first."""
-
-    def make_inbox(self) -> Inbox:
-        return _KeepsTheFirst()
-
-
-class WantsEveryNumber(ControllerUnderTest):
-    """Refuses a number that is not the next one."""
-
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        stream = self.bench.state.stream
-        if stream is None or stream.goal is None or (arrival.message.number - stream.number) % 2**32 < 9:
-            return arrival
-        return arrival._replace(message=arrival.message._replace(number=stream.number))
+def _notes_an_empty_stream(self: Any, request: Request) -> Request:
+    if says(CommandCode.END_STREAM, request):
+        self.empty = self.bench.state.stream is None or self.bench.state.stream.goal is None
+    return request
 
 
-class EndsWhereItIs(ControllerUnderTest):
-    """END_STREAM stops, instead of going on to the newest reference."""
-
-    def _scan(self) -> None:
-        before = self.bench.state.mode
-        super()._scan()
-        state = self.bench.state
-        if before is Mode.STREAMING and state.mode is Mode.MOVING:
-            held = holding(state.motion.desired.p, state.motion.desired.quaternion, state.motion.motion_id)
-            self.bench.state = state._replace(motion=held._replace(done=True))
+def _not_done_when_empty(self: Any, state: State) -> State:
+    return state._replace(motion_done=state.motion_done and not self.empty)
 
 
-class GoesOnWithTheTwist(ControllerUnderTest):
-    """After END_STREAM goes on to where the reference would be half a second later."""
-
-    def judge(self, request: Request) -> Request:
-        stream = self.bench.state.stream
-        if says(CommandCode.END_STREAM, request) and stream is not None and stream.goal is not None:
-            goal = stream.goal._replace(p=stream.goal.p + 0.5 * self.bench.state.motion.desired.v)
-            self.bench.state = self.bench.state._replace(stream=stream._replace(goal=goal))
-        return request
-
-
-class IsNotDoneWithoutReference(ControllerUnderTest):
-    """A stream that is ended without a reference is never done."""
-
-    empty = False
-
-    def judge(self, request: Request) -> Request:
-        stream = self.bench.state.stream
-        if says(CommandCode.END_STREAM, request):
-            self.empty = stream is None or stream.goal is None
-        return request
-
-    def shown(self, state: State) -> State:
-        return state._replace(motion_done=state.motion_done and not self.empty)
+def _loses_the_stream_at_once(self: Any) -> None:
+    cell = Mode.STREAMING, Stimulus.UNATTENDED
+    right = TRANSITIONS[cell]
+    TRANSITIONS[cell] = right._replace(mode=Mode.DISABLING)
+    try:
+        _scan_of(self)
+    finally:
+        TRANSITIONS[cell] = right
 
 
-class LosesTheStreamAtOnce(ControllerUnderTest):
-    """The end of a session ends a stream without its fault."""
-
-    def _scan(self) -> None:
-        cell = Mode.STREAMING, Stimulus.UNATTENDED
-        right = TRANSITIONS[cell]
-        TRANSITIONS[cell] = right._replace(mode=Mode.DISABLING)
-        try:
-            super()._scan()
-        finally:
-            TRANSITIONS[cell] = right
+def _is_kept_alive(self: Any) -> None:
+    stream = self.bench.state.stream
+    if stream is not None and not stream.attended:
+        _stream(self, fresh_ns=self._clock_ns())
+    _scan_of(self)
 
 
-class IsKeptAlive(ControllerUnderTest):
-    """Takes the end of a session for no reason to stop a stream."""
-
-    def _scan(self) -> None:
-        stream = self.bench.state.stream
-        if stream is not None and not stream.attended:
-            fresh = stream._replace(fresh_ns=self._clock_ns())
-            self.bench.state = self.bench.state._replace(stream=fresh)
-        super()._scan()
-
-
-def _streams() -> Iterator[BrokenController]:
-    for linear, angular in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.5, 1.0), (-1.0, 1.0), (1.0, -1.0)):
-        make: Make = partial(OtherReferences, partial(_twisted, linear, angular))
-        yield BrokenController(f"a twist of {linear:g} and {angular:g}", "12.7", make, case=577)
-    for other, clause, case in ((_shuffled, "12.7", 577), (_of_now, "12.7", 578), (_of_now, "12.6", 584)):
-        name = f"a reference that is{other.__name__.replace('_', ' ')}"
-        yield BrokenController(name, clause, partial(OtherReferences, other), case=case)
-    for first, second in pairwise(ORDER):
-        make = partial(JudgesInAnotherOrder, first, second)
-        yield BrokenController(f"{second.name} before {first.name}", "12.4", make, case=580)
-    for broken, clause, case in (
-        (RefusedTakesItsNumber, "12.4", 589),
-        (RefusedIsFresh, "12.4", 553),
-        (AnswersTheSuperseded, "12.3", 586),
-        (FollowsTheOldest, "12.3", 586),
-        (WantsEveryNumber, "12.5", 585),
-        (EndsWhereItIs, "12.10", 555),
-        (GoesOnWithTheTwist, "12.10", 588),
-        (IsNotDoneWithoutReference, "12.10", 587),
-        (LosesTheStreamAtOnce, "12.9", 576),
-        (IsKeptAlive, "12.9", 576),
-    ):
-        yield BrokenController(broken.__name__, clause, broken, case=case)
-
-
-MUTANTS = (*_streams(),)
+ROWS: tuple[tuple[str, str, int, Make], ...] = (
+    *(
+        (f"a twist of {linear:g} and {angular:g}", "12.7", 577, _twisted(linear, angular))
+        for linear, angular in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.5, 1.0), (-1.0, 1.0), (1.0, -1.0))
+    ),
+    ("a twist is shuffled", "12.7", 577, hooked(judge_streamed=_shuffled)),
+    ("a reference is of now", "12.7", 578, hooked(judge_streamed=_of_now)),
+    ("a reference is never old", "12.6", 584, hooked(judge_streamed=_of_now)),
+    *(
+        (f"{second.name} before {first.name}", "12.4", 580, _judges_first(second, first))
+        for first, second in pairwise(ORDER)
+    ),
+    ("a refused reference takes its number", "12.4", 589,
+     hooked(
+         number=0, judge_streamed=_noting("number", lambda a: a.message.number), _scan=_counts_the_refused)),
+    ("a refused reference is a sign of life", "12.4", 553,
+     hooked(came=False, judge_streamed=_noting("came", lambda _: True), _scan=_refused_is_fresh)),
+    ("answers the superseded", "12.3", 586,
+     hooked(waits=None, judge_streamed=_answers_the_superseded, _scan=_forgets_what_waits)),
+    ("follows the oldest of a burst", "12.3", 586,
+     edited(("inbox", "_newest(self._streamed, event)", "self._streamed or event"))),
+    ("wants every number", "12.5", 585, hooked(judge_streamed=_wants_every_number)),
+    ("END_STREAM ends where it is", "12.10", 555, hooked(_scan=_ends_where_it_is)),
+    ("END_STREAM goes on with the twist", "12.10", 588, hooked(judge=_goes_on_with_the_twist)),
+    ("an empty stream is never done", "12.10", 587,
+     hooked(empty=False, judge=_notes_an_empty_stream, shown=_not_done_when_empty)),
+    ("the end of a session ends a stream without its fault", "12.9", 576,
+     hooked(_scan=_loses_the_stream_at_once)),
+    ("the end of a session does not end a stream", "12.9", 576, hooked(_scan=_is_kept_alive)),
+)  # fmt: skip
+MUTANTS = tuple(BrokenController(name, clause, make, case=case) for name, clause, case, make in ROWS)

@@ -4,17 +4,17 @@ They are otherwise sound: the table of the scan differs in that cell alone.
 """
 
 from collections.abc import Iterator
-from functools import partial
+from typing import Any
 
 from conformance.reference.arm.transitions import number_of
 from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.requests import enter_mode
 from protocol.axes_group import ANSWERS, Asked, Mode, Transition
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement, ReferencePose, Request, StreamRefused
+from protocol.reference_messages import Acknowledgement, ReferencePose, StreamRefused
 from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutant_report import BrokenController
+from tests.conformance.mutator import BrokenController, Make, hooked
 
 # Where a request leads that is taken for one that acts. What leads to a motion without a way ends in the
 # same scan and cannot be told, so these drop the enable instead.
@@ -32,59 +32,54 @@ _ELSEWHERE = {
 }
 
 
-class OfAnotherTable(ControllerUnderTest):
+def _other_table(cell: tuple[Mode, Asked], step: Transition) -> Make:
     """Differs from 7.3 in one cell of a command."""
+    at = cell[0], Stimulus(cell[1])
 
-    def __init__(self, cell: tuple[Mode, Asked], step: Transition) -> None:
-        super().__init__()
-        self._cell, self._step = (cell[0], Stimulus(cell[1])), step
-
-    def _scan(self) -> None:
-        right = TRANSITIONS[self._cell]
-        TRANSITIONS[self._cell] = self._step
+    def scan(self: Any) -> None:
+        right = TRANSITIONS[at]
+        TRANSITIONS[at] = step
         try:
-            super()._scan()
+            ControllerUnderTest._scan(self)
         finally:
-            TRANSITIONS[self._cell] = right
+            TRANSITIONS[at] = right
+
+    return hooked(_scan=scan)
 
 
-class TakesReferencesOtherwise(ControllerUnderTest):
+def _takes_otherwise(cell: tuple[Mode, Asked], step: Transition) -> Make:
     """Differs from 7.3 in one cell of a reference: it answers otherwise, or is in another mode after it."""
+    mode, asked = cell
+    right = ANSWERS[cell]
+    members: dict[str, Any] = {"came": frozenset(), "applies": frozenset()}
 
-    def __init__(self, cell: tuple[Mode, Asked], step: Transition) -> None:
-        super().__init__()
-        self._mode, self._asked = cell
-        self._step = step
-        self._came: set[int] = set()
-        self._applies: set[int] = set()
+    def judge(self: Any, message: Any) -> Any:
+        if isinstance(message, ReferencePose):
+            self.came = self.came | {message.command_id}
+        return message
 
-    def judge(self, request: Request) -> Request:
-        if isinstance(request, ReferencePose) and self._asked is Asked.MOVE:
-            self._came.add(request.command_id)
-        return request
-
-    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        if self._asked is Asked.STREAMED:
-            self._came.add(arrival.message.number)
+    def judge_streamed(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        self.came = self.came | {arrival.message.number}
         return arrival
 
-    def _scan(self) -> None:
-        self._applies = self._came if self.bench.state.mode is self._mode else set()
-        self._came = set()
-        super()._scan()
-        right = ANSWERS[self._mode, self._asked]
-        if self._applies and self._step.mode is not right.mode:
-            self.bench.state = enter_mode(self.settings, self.bench.state, self._step.mode)
-        if self._applies and self._asked is Asked.STREAMED and self._step.reason is not right.reason:
-            number, stream = self._applies.pop(), self.bench.state.motion.motion_id
-            self.server.refuse_streamed(
-                StreamRefused(stream, number, self._step.reason, 0.0, 0.0), self.bench.now_ns
-            )
+    def scan(self: Any) -> None:
+        self.applies = self.came if self.bench.state.mode is mode else frozenset()
+        self.came = frozenset()
+        ControllerUnderTest._scan(self)
+        if self.applies and step.mode is not right.mode:
+            self.bench.state = enter_mode(self.settings, self.bench.state, step.mode)
+        if self.applies and asked is Asked.STREAMED and step.reason is not right.reason:
+            stream = self.bench.state.motion.motion_id
+            refused = StreamRefused(stream, next(iter(self.applies)), step.reason, 0.0, 0.0)
+            self.applies = frozenset()
+            self.server.refuse_streamed(refused, self.bench.now_ns)
 
-    def answered(self, acknowledgement: Acknowledgement) -> list[Acknowledgement]:
-        if acknowledgement.command_id in self._applies:
-            return [acknowledgement._replace(reason=self._step.reason)]
-        return [acknowledgement]
+    def answered(self: Any, acknowledgement: Acknowledgement) -> list[Acknowledgement]:
+        concerned = acknowledgement.command_id in self.applies
+        return [acknowledgement._replace(reason=step.reason) if concerned else acknowledgement]
+
+    hook = {"judge": judge} if asked is Asked.MOVE else {"judge_streamed": judge_streamed}
+    return hooked(_scan=scan, answered=answered, **hook, **members)
 
 
 def wrong_reason(step: Transition) -> Transition:
@@ -108,11 +103,9 @@ def _of_cells() -> Iterator[BrokenController]:
         for what, wrong in (("answers", wrong_reason(step)), ("leads", wrong_mode(mode, asked, step))):
             refused = asked is Asked.STREAMED and what == "answers" and mode is not Mode.STREAMING
             by_table = refused or asked not in (Asked.MOVE, Asked.STREAMED)
-            kind = OfAnotherTable if by_table else TakesReferencesOtherwise
+            make = (_other_table if by_table else _takes_otherwise)((mode, asked), wrong)
             name = f"{asked.name} in {mode.name} {what} {wrong.mode.name}: {wrong.reason.name}"
-            yield BrokenController(
-                name, "7.3", partial(kind, (mode, asked), wrong), case=number_of(mode, asked)
-            )
+            yield BrokenController(name, "7.3", make, case=number_of(mode, asked))
 
 
 MUTANTS = tuple(_of_cells())

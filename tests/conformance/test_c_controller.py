@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance.case import CaseOutcome
-from conformance.outcome import Summary
+from conformance.case import CaseOutcome, Summary
 from conformance.runner import reference_cases, run_reference
 from tests.conformance.c_controller import COMPILER, SOURCE, SimulatedCController, compiled, running
 from tests.conformance.simulated_network import SimulatedNetwork

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from conformance.case import CaseOutcome
-from conformance.outcome import GOOD
+from conformance.case import GOOD, CaseOutcome
 from conformance.parts import OptionalPart
 from conformance.runner import reference_cases, run_reference
 from foundation.secret_source import key_from_file

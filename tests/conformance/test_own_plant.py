@@ -2,8 +2,7 @@
 
 import pytest
 
-from conformance.case import CaseOutcome
-from conformance.outcome import GOOD
+from conformance.case import GOOD, CaseOutcome
 from conformance.runner import coupler_cases, run_coupler
 from tests.conformance.couplers import ThreadedCoupler
 from tests.conformance.test_own_controller import service

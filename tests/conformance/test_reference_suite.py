@@ -1,4 +1,4 @@
-"""The conformance suite: every broken controller is caught by its own case, and what a run leaves behind."""
+"""The conformance suite, with a key and without: what it asks for, and what a run leaves behind."""
 
 import json
 import re
@@ -8,18 +8,17 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome, CaseRegister
+from conformance.case import CaseOutcome, CaseRegister, Summary
 from conformance.command import app
-from conformance.outcome import Summary
 from conformance.parts import OptionalPart
 from conformance.records import write_records
 from conformance.runner import reference_cases, run_reference
+from protocol.authentication import LinkKey
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import CAPABILITY_PATHS
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.mutants.breaking import Mutant
-from tests.conformance.mutants.named import PLAIN
+from tests.conformance.mutator import KEY, KeyedController, edited
 from tests.support.paths import DOCS
 
 pytestmark = pytest.mark.slow("the suite runs once for every broken controller")
@@ -27,6 +26,8 @@ pytestmark = pytest.mark.slow("the suite runs once for every broken controller")
 PAGE = DOCS / "protocol.md"
 simulated = pytest.mark.usefixtures("network")
 CONTROL = 101
+FOR_CONTROLLERS_WITHOUT_A_KEY = {722}
+OF_AUTHENTICATION = {case.number for case in reference_cases() if 700 < case.number < 800}
 
 
 def failures(summary: Summary) -> list[str]:
@@ -44,16 +45,6 @@ def test_on_real_sockets_it_passes_a_case_of_each_subject() -> None:
         summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
     assert failures(summary) == []
     assert len(summary.results) == len(numbers)
-
-
-@simulated
-@pytest.mark.parametrize("mutant", PLAIN, ids=lambda m: f"{m.make.__name__}-{m.case}")
-def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
-    with mutant.make() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], motion=True)
-    outcomes = {result.case.number: result.outcome for result in summary.results}
-    assert outcomes == {CONTROL: CaseOutcome.PASS, mutant.case: CaseOutcome.FAIL}
-    assert not summary.passed
 
 
 def test_every_case_cites_a_clause_that_is_written() -> None:
@@ -146,31 +137,18 @@ def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> 
     runner = CliRunner()
     with ControllerUnderTest() as controller:
         port = str(controller.port)
-        good = runner.invoke(
-            app,
-            [
-                "reference",
-                "--port",
-                port,
-                "--case",
-                "101",
-                "--case",
-                "521",
-                "--json",
-                str(tmp_path / "r.json"),
-            ],
-        )
+        arguments = ["reference", "--port", port, "--case", "101", "--case", "521"]
+        good = runner.invoke(app, [*arguments, "--json", str(tmp_path / "r.json")])
     assert good.exit_code == 0, good.output
     assert "1 pass, 0 flaky, 0 fail, 1 unsupported" in good.output
     assert json.loads((tmp_path / "r.json").read_text())["counts"]["pass"] == 1
-    mutant = PLAIN[0]
-    with mutant.make() as broken:
-        arguments = ["reference", "--port", str(broken.port), "--case", str(mutant.case)]
+    with edited(("datagram", "if magic != MAGIC:", "if False:"))() as broken:
+        arguments = ["reference", "--port", str(broken.port), "--case", "102"]
         bad = runner.invoke(app, [*arguments, "--out", str(tmp_path / "out")])
     assert bad.exit_code == 1
     assert "0 pass, 0 flaky, 1 fail, 0 unsupported" in bad.output
     transcripts = {path.name for path in (tmp_path / "out" / "transcripts").iterdir()}
-    assert transcripts == {f"{mutant.case}.txt", f"{mutant.case}.first.txt"}
+    assert transcripts == {"102.txt", "102.first.txt"}
 
 
 def test_the_command_lists_cases_and_refuses_unknown_ones() -> None:
@@ -180,3 +158,63 @@ def test_the_command_lists_cases_and_refuses_unknown_ones() -> None:
     assert "COMMAND with any single bit flipped" in listed.output.replace("\n", " ")
     unknown = runner.invoke(app, ["reference", "--case", "999"])
     assert isinstance(unknown.exception, ConfigurationError)
+
+
+def asked_of_a_sound_one(numbers: set[int]) -> None:
+    """A sound controller with a key passes these cases."""
+    with KeyedController() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True, key=KEY)
+    assert failures(summary) == []
+    assert len(summary.results) == len(numbers)
+
+
+@simulated
+def test_a_sound_controller_with_a_key_passes_the_cases_of_authentication_and_framing() -> None:
+    framing = {case.number for case in reference_cases() if case.number < 200}
+    asked_of_a_sound_one(framing | OF_AUTHENTICATION - FOR_CONTROLLERS_WITHOUT_A_KEY)
+
+
+@simulated
+@pytest.mark.experiment
+def test_a_sound_controller_with_a_key_passes_every_case() -> None:
+    numbers = {case.number for case in reference_cases()}
+    asked_of_a_sound_one(numbers - FOR_CONTROLLERS_WITHOUT_A_KEY)
+
+
+@simulated
+def test_with_a_key_on_one_side_alone_the_run_says_so_and_asks_nothing() -> None:
+    with KeyedController() as controller:
+        keyless = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704])
+        other = run_reference("127.0.0.1", controller.port, numbers=[CONTROL], key=LinkKey(bytes(32)))
+    with ControllerUnderTest() as controller:
+        keyed = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704], key=KEY)
+    for summary, cause in (
+        (keyless, "link.not_authenticated"),
+        (other, "link.unknown_key"),
+        (keyed, "link.key_not_configured"),
+    ):
+        assert summary.ended is not None
+        assert (summary.ended.cause, summary.results, summary.passed) == (cause, (), False)
+    assert "--key" in str(keyless.ended)
+
+
+@simulated
+def test_without_a_key_the_cases_of_authentication_are_unsupported() -> None:
+    with ControllerUnderTest() as controller:
+        plain = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704, 722])
+    assert [r.outcome for r in plain.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED, CaseOutcome.PASS]
+
+
+@simulated
+def test_the_command_takes_the_key_from_a_file_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    path.write_text(bytes(range(32)).hex())
+    path.chmod(0o600)
+    arguments = ["reference", "--case", "101", "--case", "704", "--key", str(path)]
+    with KeyedController() as controller:
+        good = CliRunner().invoke(app, [*arguments, "--port", str(controller.port)])
+        path.chmod(0o644)
+        bad = CliRunner().invoke(app, [*arguments, "--port", str(controller.port)])
+    assert good.exit_code == 0, good.output
+    assert "2 pass, 0 flaky, 0 fail, 0 unsupported" in good.output
+    assert getattr(bad.exception, "cause", "") == "configuration.key_exposed"

@@ -13,10 +13,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
 from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
-from testbed.dashboard.panels import dashboard, metrics_of
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.foundation.live.viewing import WITHIN_S, watching
 from tests.integration.services import Running, running
+from tests.support.grafana import metrics
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
 pytestmark = pytest.mark.realtime
@@ -108,7 +108,7 @@ async def test_every_figure_is_told(rig: Running) -> None:
             if not figure.label and not figure.path.startswith(NOT_ALWAYS):
                 assert f"longreach_{name}_{figure.name.removesuffix('_total')}" in families, figure.name
     histograms = {name for samples in families.values() for name in samples if name.endswith("_bucket")}
-    asked = {name for name in metrics_of(dashboard()) if name.endswith("_bucket")}
+    asked = {name for name in metrics() if name.endswith("_bucket")}
     assert asked
     assert asked <= histograms, "the dashboard asks for what is told"
 

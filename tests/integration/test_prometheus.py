@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from foundation.ports import bound_tcp
-from testbed.dashboard.panels import dashboard, expressions_of
 from tests.integration.services import Running, running, until_healthy
+from tests.support.grafana import expressions
 from tests.support.paths import ROOT
 
 _PLACES = os.pathsep.join((str(Path(sys.prefix) / "prometheus/usr/bin"), os.environ.get("PATH", os.defpath)))
@@ -98,7 +98,7 @@ def test_prometheus_reads_every_figure_and_answers_every_panel(tmp_path: Path) -
             assert [float(each["value"][1]) for each in answer(client, "up")] == [1.0]
             empty = [
                 expression
-                for expression in expressions_of(dashboard())
+                for expression in expressions()
                 if not answer(client, expression.replace(_WINDOW, _SHORTER))
             ]
     assert not [each for each in empty if not any(name in each for name in _BY_CAUSE)]

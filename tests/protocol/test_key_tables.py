@@ -12,7 +12,7 @@ from protocol.faults import Reason
 from protocol.reference_messages import Bye, Heartbeat, Hello, Message, Welcome
 from tests.protocol.test_session_tables import T0, spoken
 from tests.protocol.wire import ARM, a_server
-from tools.session_tables import KEY_SERVER_ROWS, Row
+from tools.tables import KEY_SERVER_ROWS, Row
 
 KEY, OTHER = LinkKey(bytes(range(32))), LinkKey(bytes(32))
 

@@ -23,7 +23,7 @@ from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server
 from tools.sample_messages import MESSAGES, POSE
-from tools.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
+from tools.tables import CLIENT_ROWS, SERVER_ROWS, Row
 
 WELCOME = next(m for m in MESSAGES if isinstance(m, Welcome))
 STATE = next(m for m in MESSAGES if isinstance(m, State))

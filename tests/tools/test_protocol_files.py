@@ -27,7 +27,7 @@ from protocol.process_image import (
 )
 from tests.support.structured_text import Programs, output
 from tests.support.structured_text_values import StructuredTextError
-from tools.plc_types import camel, member_name
+from tools.plc import camel, member_name
 from tools.protocol_files import FILES, FOLDER
 from tools.protocol_page import signed_golden
 from tools.sample_messages import HEADER, MESSAGES

@@ -27,7 +27,7 @@ from protocol.errors import DatagramRefused
 from protocol.pose import Pose
 from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
 from protocol.reference_messages import Hello
-from tools.plc_types import IEC_NAMES, types
+from tools.plc import IEC_NAMES, types
 from tools.protocol_page import GOLDEN, PAGE, ROOT, SECTIONS, rendered
 from tools.sample_messages import HEADER, MESSAGES
 
@@ -61,7 +61,7 @@ def test_every_cause_of_a_drop_is_written_down_and_no_other() -> None:
 def rows_after(heading: str) -> list[list[str]]:
     """Cells of the first table behind ``heading`` in the page."""
     lines = TEXT[TEXT.index(heading) :].splitlines()
-    begin = next(i for i, line in enumerate(lines) if line.startswith("| ---"))
+    begin = next(i for i, line in enumerate(lines) if line.startswith("|---"))
     table = itertools.takewhile(lambda line: line.startswith("|"), lines[begin + 1 :])
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
 

@@ -1,17 +1,13 @@
-"""The site's own parts: references from code, navigation, links into the glossary, and its examination."""
+"""The site's own parts: references from code, navigation, and its examination."""
 
 from pathlib import Path
 from typing import Annotated
 
 import pytest
 import typer
-from docutils import nodes
-from docutils.frontend import get_default_settings
-from docutils.parsers.rst import Parser
-from docutils.utils import new_document
 
 from testbed.scenarios.settings import MODELS
-from tools.site import commands, configuration_keys, examine, extension, gallery, glossary, python_interface
+from tools.site import commands, configuration_keys, examine, extension
 
 ROOT = Path(__file__).parents[2]
 YAML = """
@@ -91,11 +87,11 @@ def test_a_command_is_there_with_what_its_help_says() -> None:
 
 
 def test_every_example_and_every_module_of_the_interface_is_shown() -> None:
-    page = gallery.page()
+    page = extension.gallery()
     for path in (ROOT / "examples" / "python").glob("*.py"):
         assert f"## {path.name}" in page
         assert path.read_text(encoding="utf-8") in page
-    assert "longreach.rigs" in python_interface.modules()
+    assert "longreach.rigs" in extension.modules()
 
 
 def test_every_page_is_in_the_navigation() -> None:
@@ -105,38 +101,6 @@ def test_every_page_is_in_the_navigation() -> None:
     }
     indexed = {page for page in pages if page.startswith("/docs/decisions/0")}
     assert pages - indexed - {"/docs/README"} - listed == set()
-
-
-GLOSSARY = """
-.. list-table::
-   :header-rows: 1
-
-   * - term
-     - meaning here
-   * - scan, cycle
-     - one call
-   * - look
-     - several frames
-"""
-
-
-def parsed(text: str) -> nodes.document:
-    document = new_document("page", get_default_settings(Parser))
-    Parser().parse(text, document)
-    return document
-
-
-def test_a_term_is_a_link_where_it_is_first_used() -> None:
-    found = glossary.terms(parsed(GLOSSARY))
-    assert [term.anchor for term in found] == ["term-scan-cycle", "term-look"]
-    page = parsed("Scans\n=====\n\n``scan`` first, a scan, one more scan, an outlook.\n")
-    done: set[str] = set()
-    for text in list(page.findall(nodes.Text)):
-        if not glossary.inside(text):
-            glossary.link(text, glossary.words(found), "g.html", done)
-    (link,) = page.findall(nodes.reference)
-    assert (link["refuri"], link["reftitle"], link.astext()) == ("g.html#term-scan-cycle", "one call", "scan")
-    assert "first, a scan, one more scan, an outlook." in page.astext()
 
 
 @pytest.mark.parametrize(

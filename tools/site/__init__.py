@@ -1,1 +1,1 @@
-"""What the site has beside the pages: references from code, links into the glossary, its examination."""
+"""What the site has beside the pages: references from code, its examination."""

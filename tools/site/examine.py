@@ -1,12 +1,10 @@
 """Whether a built site is whole and asks nobody: ``python -m tools.site.examine DIR``; status 1: it is not.
 
 Every link leads to a file of the site and to a place in it, also those that theme and autodoc made.
-Pictures, scripts and styles lie beside the pages. The search finds pages without a server, in a browser where
-there is one.
+Pictures, scripts and styles lie beside the pages.
 """
 
 import re
-import shutil
 import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
@@ -14,19 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
-from playwright.sync_api import sync_playwright
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-WORDS = {
-    "backlash": "docs/glossary.html",
-    "pose_servo.position_gain_1_s": "docs/reference/configuration.html",
-}
-"""What is searched for, and the page that must be found."""
-_DEADLINE_MS = 120_000
 _FETCHED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "link": "href"}
-_ENDED = (
-    "/finished|did not match/.test(document.querySelector('#search-results .search-summary')?.textContent)"
-)
 _NOT_FETCHED = {"canonical", "author", "search", "index", "next", "prev"}
 _IN_STYLE = re.compile(r"""(?:url\(|@import)\s*["']?((?:https?:)?//[^"')\s]+)""")
 
@@ -87,34 +73,12 @@ def _leads_nowhere(page: Path, target: str, pages: dict[Path, Links]) -> bool:
     return bool(parts.fragment) and file in pages and unquote(parts.fragment) not in pages[file].places
 
 
-def searched(site: Path, browser: str) -> Iterator[str]:
-    """What is wrong with the search, tried from the files, without a server and without a network."""
-    asked: list[str] = []
-    with sync_playwright() as driver:
-        shown = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"])
-        page = shown.new_page()
-        page.on("request", lambda request: asked.append(request.url))
-        for words, wanted in WORDS.items():
-            page.goto(f"{(site / 'search.html').resolve().as_uri()}?q={words}", timeout=_DEADLINE_MS)
-            page.wait_for_function(_ENDED, timeout=_DEADLINE_MS)
-            found = page.eval_on_selector_all("#search-results li a", "links => links.map(link => link.href)")
-            if not any(wanted in link for link in found):
-                yield f"search: {words} finds {len(found)} pages, {wanted} not among them"
-        shown.close()
-    for url in asked:
-        if urlsplit(url).scheme not in ("file", "data"):
-            yield f"search: asks {url}"
-
-
 def main(site: Path) -> int:
     """0: nothing is wrong; 1 with a line each for what is."""
     wrong = list(faults(site))
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    wrong += searched(site, browser) if browser else []
     print(*wrong, sep="\n", end="\n" if wrong else "")
     pages = len(list(site.rglob("*.html")))
-    tried = "search tried from the files" if browser else "search NOT tried: no browser is there"
-    print(f"{site}: {pages} pages, {len(wrong)} faults, {tried}")
+    print(f"{site}: {pages} pages, {len(wrong)} faults")
     return 1 if wrong else 0
 
 

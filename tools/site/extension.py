@@ -1,5 +1,6 @@
-"""The site's Sphinx extension: navigation from docs/README.md, references from code, the glossary's links."""
+"""The site's Sphinx extension: navigation from docs/README.md, examples and references from code."""
 
+import ast
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,15 +10,50 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from tools.site import commands, configuration_keys, gallery, python_interface
-from tools.site.glossary import linked
+from tools.site import commands, configuration_keys
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples" / "python"
+PICTURES = ROOT / "docs" / "images" / "examples"
+
+
+def gallery() -> str:
+    """The examples one below the other."""
+    return "\n\n".join(_example(path) for path in sorted(EXAMPLES.glob("*.py")))
+
+
+def _example(path: Path) -> str:
+    text = path.read_text(encoding="utf-8")
+    told = ast.get_docstring(ast.parse(text)) or ""
+    title, _, rest = told.partition("\n")
+    picture = PICTURES / f"{path.stem}.png"
+    shown = f"![{title}](/docs/images/examples/{picture.name})\n\n" if picture.exists() else ""
+    return f"## {path.name}\n\n{title}\n{rest}\n\n{shown}```python\n{text}```"
+
+
+PACKAGE = ROOT / "longreach"
+
+
+def modules() -> list[str]:
+    """The package that users import, and its modules."""
+    names = sorted(path.stem for path in PACKAGE.glob("*.py") if not path.stem.startswith("_"))
+    return [PACKAGE.name, *(f"{PACKAGE.name}.{name}" for name in names)]
+
+
+def python_interface() -> str:
+    """The reference of all of them, in their docstrings' order."""
+    return "\n\n".join(
+        f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n   :inherited-members:\n```"
+        for name in modules()
+    )
+
 
 MADE: Mapping[str, Callable[[], str]] = MappingProxyType(
     {
         "configuration": configuration_keys.page,
         "commands": commands.page,
-        "python": python_interface.page,
-        "gallery": gallery.page,
+        "python": python_interface,
+        "gallery": gallery,
     }
 )
 """What takes the place of ``<!-- site: NAME -->`` in a page."""
@@ -32,7 +68,6 @@ INDEXES = (BY_READER, "docs/decisions/README")
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.connect("source-read", _read)
-    app.connect("doctree-resolved", linked)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 

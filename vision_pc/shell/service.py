@@ -11,7 +11,7 @@ import cv2
 from fastapi import FastAPI
 
 from foundation.event_log import EventLog
-from foundation.live.opening import open_show
+from foundation.live.feed import open_show
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.rest.access import configured_access

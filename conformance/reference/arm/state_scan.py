@@ -11,11 +11,10 @@ from itertools import pairwise
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.modes import entered, opened_stream
-from conformance.reference.arm.watching import StateWatch, Watched
+from conformance.reference.arm.state_truth import StateWatch, Watched
+from conformance.reference.arm.transitions import entered, opened_stream
 from conformance.reference.framing import stop
-from conformance.reference.group import disabled, expect_reason, wanted
-from conformance.reference.motion import STEP_M, moved
+from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, wanted
 from conformance.reference.streaming import BOTH, FEED_MS
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode

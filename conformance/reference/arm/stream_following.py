@@ -10,10 +10,9 @@ from typing import NamedTuple
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.modes import entered, opened_stream
-from conformance.reference.arm.watching import StateWatch, Watched, angle_between, turned_in_base
-from conformance.reference.group import reach, wanted
-from conformance.reference.motion import moved
+from conformance.reference.arm.state_truth import StateWatch, Watched, angle_between, turned_in_base
+from conformance.reference.arm.transitions import entered, opened_stream
+from conformance.reference.motion import moved, reach, wanted
 from conformance.reference.streaming import NUMBERS, Stream
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode
@@ -97,8 +96,7 @@ def _require_met(seen: list[Watched], target: MovingReference) -> None:
         off_rad = angle_between(each.state.X_BT_cmd.q_wxyz, wanted_pose.q_wxyz)
         require(off_m < target.speed * BEHIND_MS * 1e-3, f"{off_m * 1e3:.1f} mm from the reference")
         require(
-            off_rad <= target.turn * BEHIND_MS * 1e-3 + 1e-4,
-            f"{off_rad * 1e3:.1f} mrad from the reference",
+            off_rad <= target.turn * BEHIND_MS * 1e-3 + 1e-4, f"{off_rad * 1e3:.1f} mrad from the reference"
         )
 
 

@@ -6,20 +6,20 @@ Times are judged on the tester's clock: from the sending of a reference to the s
 import math
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.modes import entered, opened_stream
-from conformance.reference.arm.watching import StateWatch, Watched
-from conformance.reference.group import reach, wanted
-from conformance.reference.motion import moved
-from conformance.reference.streaming import BOTH, SILENCE_MS, Stream
+from conformance.reference.arm.state_truth import StateWatch, Watched, turned
+from conformance.reference.arm.transitions import entered, opened_stream
+from conformance.reference.motion import moved, reach, scaled, wanted
+from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream
 from conformance.wire import MS, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
-from protocol.reference_messages import FLAG_STREAMING, State
+from protocol.reference_messages import FLAG_STREAMING, State, StreamRefused
 
 case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
 FIRST_REFERENCE_MS, RAMP_MS = 1000.0, 12.0
@@ -54,11 +54,7 @@ def _silent_ms(seen: list[Watched], sent_ns: int) -> list[tuple[float, Watched]]
     return [((each.scan_ns - sent_ns) / MS, each) for each in seen]
 
 
-@case(
-    572,
-    "12.8",
-    "silence: slowed down, then valves centred within 100 ms of the last reference",
-)
+@case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
 def silence_stops(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
     assert peer.welcome is not None
@@ -133,3 +129,174 @@ def ends_without_reference(peer: Peer) -> None:
     seen = StateWatch(peer).during(500.0, until=lambda state: state.motion_done)
     require(seen[-1].state.motion_done, "motion_done does not follow")
     require(seen[-1].state.motion_id == stream.stream_id, "motion_id is not the stream's")
+
+
+DISTANCE_M, TURN_RAD, AGE_MS = 0.5, math.radians(30.0), 250.0
+SPEED_M_S, TURN_RAD_S = 0.25 * 0.8 / math.sqrt(3.0), math.radians(12.0) * 0.8 / math.sqrt(3.0)
+# A limit's two sides lie this far from it, in parts of it; for an age in ms, for the network and a scan.
+SIDE, AGE_SIDE_MS = 0.01, 20.0
+LIMITS_FEED_MS = 8.0
+# What two clocks that drift by 100 ppm differ by within the 5 s of a case.
+CLOCKS_MS = 0.5
+
+
+def _stream(peer: Peer) -> tuple[Stream, Pose]:
+    """A stream that rests at the pose returned."""
+    scene = entered(peer, Mode.STREAMING)
+    assert scene.stream is not None
+    here = peer.state().X_BT_cmd
+    scene.stream.feed(here, 600.0)
+    return scene.stream, peer.state().X_BT_cmd
+
+
+def verdict(stream: Stream, pose: Pose, **more: Any) -> StreamRefused | None:
+    """The refusal of a reference, or None when it is followed."""
+    peer, number = stream.peer, more.get("number", stream.number)
+    shown_before = number == (stream.number - 1) % NUMBERS
+    stream.give(pose, **more)
+    until_ns = peer.now_ns + 300 * MS
+    while peer.now_ns < until_ns:
+        datagram = peer.receive(50.0)
+        message = datagram.message if datagram else None
+        if isinstance(message, StreamRefused) and message.number == number:
+            return message
+        if isinstance(message, State) and message.stream_number == number and not shown_before:
+            return None
+    require(False, f"reference {number} is neither followed nor refused")
+    raise AssertionError
+
+
+def _require_sides(got: StreamRefused, reason: Reason, asked: float, most: float, what: str) -> float:
+    """The limit that ``got`` names."""
+    require(got.reason is reason, f"{what} of {asked:g}: {got.reason.name}, wanted {reason.name}")
+    require(abs(got.value - asked) < 0.03 * asked, f"{what} of {asked:g} is said to be {got.value:g}")
+    require(0.0 < got.limit <= most * 1.005, f"{what}: a limit of {got.limit:g}, at most {most:g}")
+    return got.limit
+
+
+@case(580, "12.4", "a reference that breaks several rules is refused for the first of them")
+def order(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    newest = (stream.number - 1) % NUMBERS
+    _, y, z = here.p_m
+    spoilt: list[tuple[Reason, dict[str, Any]]] = [
+        (Reason.NOT_STREAMING, {"stream_id": stream.stream_id - 1}),
+        (Reason.OVERTAKEN, {"number": newest}),
+        (Reason.STALE, {"time_ns": peer.now_ns - 10_000 * MS}),
+        (Reason.NOT_FINITE, {"X_BT_ref": here._replace(p_m=(math.nan, y, z + 100.0))}),
+        (Reason.NOT_UNIT_QUATERNION, {"X_BT_ref": scaled(moved(here, dz=100.0), 1.5)}),
+        (Reason.TOO_FAST, {"twist_ref": (0.0, 50.0, 0.0, 0.0, 0.0, 0.0)}),
+        (Reason.TOO_FAR, {"X_BT_ref": moved(here, dz=100.0)}),
+    ]
+    spoilt[3][1]["X_BT_ref"] = scaled(spoilt[3][1]["X_BT_ref"], 1.5)
+    for first, (reason, _) in enumerate(spoilt):
+        fields: dict[str, Any] = {}
+        for _, more in reversed(spoilt[first:]):
+            fields |= more
+        got = verdict(stream, fields.pop("X_BT_ref"), **fields)
+        require(got is not None, f"what should be {reason.name} is followed")
+        assert got is not None
+        require(got.reason is reason, f"what should be {reason.name} first is {got.reason.name}")
+        stream.feed(here, LIMITS_FEED_MS)
+        spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
+def distance(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    limit = _require_sides(
+        _refused(stream, moved(here, dz=100.0)), Reason.TOO_FAR, 100.0, DISTANCE_M, "a distance"
+    )
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(
+        _refused(stream, moved(here, dx=-beyond)), Reason.TOO_FAR, beyond, DISTANCE_M, "a distance"
+    )
+    inside = verdict(stream, moved(here, dx=-limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
+    stream.feed(here, LIMITS_FEED_MS)
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+def _refused(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
+    got = verdict(stream, pose, **more)
+    require(got is not None, "it is followed although it is beyond the limit")
+    assert got is not None
+    return got
+
+
+@case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
+def angle(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    limit = _require_sides(_refused(stream, turned(here, 2.0)), Reason.TOO_FAR, 2.0, TURN_RAD, "an angle")
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(_refused(stream, turned(here, beyond)), Reason.TOO_FAR, beyond, TURN_RAD, "an angle")
+    inside = verdict(stream, turned(here, limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
+    stream.feed(here, LIMITS_FEED_MS)
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(583, "12.4", "its own speed, each axis: both sides of its limit")
+def speed(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    for axis in range(6):
+        most = SPEED_M_S if axis < 3 else TURN_RAD_S
+
+        def twist(rate: float, axis: int = axis) -> tuple[float, ...]:
+            return tuple(rate if k == axis else 0.0 for k in range(6))
+
+        got = _refused(stream, here, twist_ref=twist(50.0))
+        limit = _require_sides(got, Reason.TOO_FAST, 50.0, most, f"axis {axis}, a speed")
+        beyond = limit * (1.0 + 2 * SIDE)
+        got = _refused(stream, here, twist_ref=twist(-beyond))
+        _require_sides(got, Reason.TOO_FAST, beyond, most, f"axis {axis}, a speed")
+        inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
+        require(inside is None, f"axis {axis}: refused within its limit: {inside}")
+        stream.feed(here, LIMITS_FEED_MS)
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(584, "12.6", "the age of the measurement: both sides of its limit")
+def age(peer: Peer) -> None:
+    stream, here = _stream(peer)
+
+    def aged(ms: float) -> StreamRefused | None:
+        begin_ns = peer.now_ns
+        got = verdict(stream, here, time_ns=begin_ns - int(ms * MS))
+        if got is not None and got.reason is Reason.STALE:
+            # It left at this age or later, and was judged before its answer came.
+            most_ms = ms + (peer.now_ns - begin_ns) / MS
+            said_ms = got.value * 1e3
+            fits = ms - CLOCKS_MS < said_ms < most_ms + CLOCKS_MS
+            require(fits, f"its age is said to be {said_ms:.2f} ms: it is {ms:.2f} to {most_ms:.2f}")
+        return got
+
+    got = aged(10_000.0)
+    require(got is not None, "10 s old, and followed")
+    assert got is not None
+    limit_ms = 1e3 * _require_sides(got, Reason.STALE, 10.0, AGE_MS * 1e-3, "an age")
+    for nth, ms in enumerate((limit_ms + 2.0, *[limit_ms * 1.5] * 3)):
+        peer.collect(1.3 * nth)  # whenever the next scan is
+        got = aged(ms)
+        require(got is not None and got.reason is Reason.STALE, f"{ms:g} ms old, and not STALE: {got}")
+    stream.feed(here, LIMITS_FEED_MS)
+    got = aged(limit_ms - AGE_SIDE_MS)
+    require(got is None, f"{AGE_SIDE_MS:g} ms within its limit, and refused: {got}")
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(585, "12.5", "numbers may leap by less than half their range, and not by more")
+def leaps(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    for leap in (2, 1000, NUMBERS // 2 - 1):
+        stream.number = (stream.number - 1 + leap) % NUMBERS
+        require(verdict(stream, here) is None, f"a leap of {leap} is refused")
+    newest = (stream.number - 1) % NUMBERS
+    for leap in (NUMBERS // 2, NUMBERS // 2 + 1, NUMBERS - 1, NUMBERS):
+        got = verdict(stream, here, number=(newest + leap) % NUMBERS)
+        require(got is not None and got.reason is Reason.OVERTAKEN, f"a leap of {leap}: {got}")
+        stream.number = (newest + 1) % NUMBERS
+        stream.feed(here, LIMITS_FEED_MS)
+        newest = (stream.number - 1) % NUMBERS
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")

@@ -4,7 +4,7 @@ from conformance.case import reference
 from conformance.peer import Peer
 from conformance.reference.datagrams.drops import dropped
 from conformance.reference.framing import stop
-from conformance.reference.lifetime import SLACK_MS
+from conformance.reference.handshake import SLACK_MS
 from conformance.reference.order import used
 from conformance.wire import MS, Failed, Unsupported, require
 from protocol.faults import Reason

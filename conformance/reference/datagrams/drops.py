@@ -9,8 +9,7 @@ from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY
 from conformance.reference.datagrams.refusals import MAGIC_BIT
 from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
-from conformance.reference.handshake import granted
-from conformance.reference.lifetime import SLACK_MS
+from conformance.reference.handshake import SLACK_MS, granted
 from conformance.wire import MS, SEQUENCES, Failed, require
 from protocol.authentication import DirectionKey
 from protocol.datagram import Header, encode

@@ -6,15 +6,7 @@ from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
-from conformance.reference.framing import (
-    COMMAND_BYTES,
-    FLAGS,
-    KIND,
-    MAJOR,
-    a_path,
-    refused,
-    stop,
-)
+from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, refused, stop
 from conformance.reference.sessions import hello, welcomes
 from conformance.wire import MS, Unsupported, require
 from protocol.datagram import Header, encode

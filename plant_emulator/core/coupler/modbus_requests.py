@@ -22,7 +22,6 @@ DIAGNOSTICS = 8
 WRITE_COILS = 15
 WRITE_MULTIPLE = 16
 READ_WRITE_MULTIPLE = 23
-WRITING = frozenset((WRITE_COIL, WRITE_SINGLE, WRITE_COILS, WRITE_MULTIPLE, READ_WRITE_MULTIPLE))
 
 # Sub-functions of DIAGNOSTICS (section 6.8); all but the echo take one word that must be zero.
 ECHO = 0

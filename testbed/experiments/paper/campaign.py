@@ -23,8 +23,8 @@ from testbed.experiments.paper import comparison, figures
 from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared, Conclusion
 from testbed.experiments.paper.measurement import measure, trace
 from testbed.reporting.console import out, table
-from testbed.reporting.pages import rendered
 from testbed.reporting.plots import svg
+from testbed.reporting.report import rendered
 from testbed.reporting.run_record import KeptRun, beginning
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings

@@ -1,6 +1,6 @@
 """The queue between a quick writer and a slow reader: bounded, and the newest are in it."""
 
-from foundation.live.latest import MOST_BYTES, MOST_MESSAGES, LatestQueue
+from foundation.live.wire import MOST_BYTES, MOST_MESSAGES, LatestQueue
 
 
 def taken(queue: LatestQueue[int]) -> list[tuple[int, int]]:

@@ -17,8 +17,7 @@ from websockets.exceptions import InvalidStatus
 from foundation.event_log import EventLog
 from foundation.live import wire
 from foundation.live.face import VIEWERS_MAX, LiveFace
-from foundation.live.feed import LiveFeed
-from foundation.live.opening import access_of
+from foundation.live.feed import LiveFeed, access_of
 from foundation.live.settings import LiveSettings
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import MessageField, format_of, message_class

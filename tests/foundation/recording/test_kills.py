@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foundation.recording.reading import messages
+from foundation.recording.decoding import messages
 from foundation.recording.recovery import contents, recover
 from tests.foundation.recording.recorded_process import PARTS
 

@@ -8,8 +8,8 @@ from mcap.reader import make_reader
 from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
+from foundation.recording.decoding import RecordingUnreadable
 from foundation.recording.mcap_file import CHUNK_NS, McapFile
-from foundation.recording.reading import RecordingUnreadable
 from foundation.recording.recovery import contents, recover
 from tests.foundation.recording.test_mcap_file import TOPICS, kept, written
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from foundation.recording.reading import RecordingUnreadable
+from foundation.recording.decoding import RecordingUnreadable
 from plant_emulator.core.faults.kinds import SupplyLost, ValveSlow
 from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.truth import PlantTruth

@@ -11,7 +11,6 @@ import typer
 from click.testing import Result
 from typer.testing import CliRunner
 
-from testbed.cli.every_command import FORMER_NAMES
 from testbed.cli.main import app
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
@@ -21,7 +20,7 @@ PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
 SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
     "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "picture run", "runs open",
-    "recording layout", "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
+    "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
     "hand-eye session export", "hand-eye samples",
 }  # fmt: skip
 _SHOWN = re.compile(r"longreach((?: +(?:'[^']*'|[^\s`|#()<>]+))+)")
@@ -76,7 +75,7 @@ def _unknown(words: list[str], commands: dict[str, Any]) -> list[str]:
     given = {
         word.partition("=")[0].strip("[],;.…") for word in words[path:] if word.startswith(("--", "[--"))
     }
-    return sorted(name for name in given if path and not known & {name, FORMER_NAMES.get(name)})
+    return sorted(name for name in given if path and name not in known)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -90,24 +89,3 @@ def test_every_example_is_one(commands: dict[str, Any]) -> None:
         for words in _shown(command.epilog or ""):
             assert " ".join(words).startswith(path), path
             assert not _unknown(words, commands), words
-
-
-def test_former_names_still_lead_there_and_are_not_shown(tmp_path: Path) -> None:
-    words = [
-        "experiment",
-        "validation",
-        "--method",
-        "rough",
-        "--runs",
-        "1",
-        "--step-ms",
-        "0.5",
-        "--workers",
-        "0",
-    ]
-    done = asked(*words, f"--directory={tmp_path}")
-    assert "1 runs, seeds 1 to 1" in done.output
-    assert (tmp_path / "rows.csv").is_file()
-    shown = asked("experiment", "validation", "--help").output
-    assert "--count" in shown
-    assert "--runs" not in shown

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from testbed.exports.xml_text import TOOL
+from testbed.exports.arm_tree import TOOL
 from vision_pc.core.se3 import Array, transform
 
 

@@ -234,7 +234,7 @@ async def test_a_half_open_stream_stays_up_and_carries_nothing() -> None:
 
 
 def test_the_command_serves_until_it_is_told_to_stop() -> None:
-    code = "import typer; from testbed.fault_proxy.command import proxy; typer.run(proxy)"
+    code = "import typer; from testbed.fault_proxy.proxy import proxy; typer.run(proxy)"
     command = [sys.executable, "-c", code, "--listen-port", "0", "--port", "9", "--loss", "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -7,8 +7,8 @@ from typing import Any
 
 from mcap.records import Message
 
+from foundation.recording.decoding import messages, walk
 from foundation.recording.mcap_file import McapFile
-from foundation.recording.reading import messages, walk
 from foundation.recording.recovery import contents
 
 Change = Callable[[str, int, bytes], bytes | None]

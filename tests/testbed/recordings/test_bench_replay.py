@@ -17,8 +17,8 @@ from testbed.lockstep.simulated_measurements import load_eye_model, simulated_si
 from testbed.recordings.comparison import OPERATION, REFERENCE, ReplayComparison
 from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.perception_replay import FRAME, PerceptionReplay, pixels_for
+from testbed.recordings.pixels import RenderedAhead, rendered_ahead
 from testbed.recordings.recorded_vision import recorded_vision
-from testbed.recordings.rendering import RenderedAhead, rendered_ahead
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS

@@ -8,9 +8,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from foundation.recording.reading import RecordingUnreadable
+from foundation.recording.decoding import RecordingUnreadable
 from testbed.lockstep.world import CONTROLLER_CLOCK_NS, VISION_CLOCK_NS
-from testbed.recordings.layout import layout_text, topics_shown
 from testbed.recordings.merging import CONTROLLER, JOINTS, PLANT, VISION, fitted_clock, merge
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 from tests.testbed.recordings.test_replay import edited, kept
@@ -72,22 +71,6 @@ def test_metadata_and_attachments_are_those_of_all_parts(merged: Path) -> None:
     assert int(metadata["plant_emulator clock"]["offset_ns"]) == VISION_CLOCK_NS
     assert "vision" in json.loads(metadata["vision_pc run"]["configuration"])
     assert attached["arm.urdf"] == b"<robot/>"
-    assert attached["layout.json"].decode() == layout_text()
-
-
-def test_the_layout_shows_what_is_recorded(merged: Path) -> None:
-    """Every topic that it names is there, and every field that it plots."""
-    said = {topic: message for topic, _, message in messages(merged)}
-    for topic, fields in topics_shown().items():
-        assert fields <= set(said[topic].DESCRIPTOR.fields_by_name), topic
-    text = layout_text()
-    assert all(f'"{topic}' in text for topic in topics_shown() if "/tf" not in topic)
-    panels = json.loads(text)
-    assert named(panels["layout"]) == set(panels["configById"])
-
-
-def named(tree: Any) -> set[str]:
-    return {tree} if isinstance(tree, str) else named(tree["first"]) | named(tree["second"])
 
 
 def test_a_drifting_clock_is_followed_and_its_uncertainty_told() -> None:

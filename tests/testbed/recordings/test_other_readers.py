@@ -13,10 +13,9 @@ import pytest
 from google.protobuf import descriptor_pb2
 from google.protobuf.descriptor import FieldDescriptor
 
-from foundation.recording.decoding import class_in
+from foundation.recording.decoding import class_in, messages
 from foundation.recording.mcap_file import Format
 from foundation.recording.messages import MessageField, format_of, message_class
-from foundation.recording.reading import messages
 from foundation.recording.recovery import contents
 from testbed.recordings.merging import merge
 from tests.support.rerun import needs_rerun, rerun

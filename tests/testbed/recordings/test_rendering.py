@@ -4,9 +4,8 @@ import multiprocessing
 
 import pytest
 
-from foundation.recording.reading import RecordingUnreadable
-from testbed.recordings.pixels import RecordedStamp, RenderedPixels, checked
-from testbed.recordings.rendering import RenderedAhead, rendered_ahead
+from foundation.recording.decoding import RecordingUnreadable
+from testbed.recordings.pixels import RecordedStamp, RenderedAhead, RenderedPixels, checked, rendered_ahead
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 from tests.testbed.recordings.editing import all_of
 from vision_pc.shell.recording import vision_recorder as topics

@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from numpy.typing import NDArray
 
 from foundation.configuration import load
-from foundation.recording.reading import RecordingUnreadable
+from foundation.recording.decoding import RecordingUnreadable
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import OwnFault
 from plant_emulator.core.plant import Plant

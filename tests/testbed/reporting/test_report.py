@@ -11,9 +11,8 @@ import pytest
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
 from testbed.reporting import run_record as record
-from testbed.reporting.events import OperationSpan, event_lines, spans
 from testbed.reporting.outcome import Errors, Outcome, Stage
-from testbed.reporting.report import Picture, write_report
+from testbed.reporting.report import OperationSpan, Picture, event_lines, spans, write_report
 from vision_pc.core.positioning.expected_end import expected_end
 
 

@@ -7,12 +7,11 @@ import { followEmulator } from './emulator.js';
 import { installFurther, showFurther } from './further.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
 import { showAlarms, showChips, showLadder, showResume, showTrials, showUnknown } from './panels.js';
-import { addToPlots, clearPlots, drawPlots, installPlots } from './plots.js';
+import { addToPlots, drawPlots, installPlots } from './plots.js';
 import { installArm, paintArm, showArm, showTruth } from './arm.js';
 import { installStop } from './stop.js';
 import { followPictures, followState } from './stream.js';
 import { installTargets, showTargets } from './targets.js';
-import { installTransport, recorded, showTransport } from './transport.js';
 import { showVerdict } from './verdict.js';
 
 const STALE_MS = 500;
@@ -27,11 +26,11 @@ let lastTrouble = null;
 let crowded = false; // no place for pictures among the windows of this browser
 
 function showSnapshot(snapshot) {
-  if (!recorded && instance && instance !== snapshot.service.instance) {
+  if (instance && instance !== snapshot.service.instance) {
     banner('The vision PC was started anew. What it had learned is gone, and the arm is disabled: begin with ENABLE.', true);
     say('', true);
   }
-  else if (!recorded && shot && shot.anew_at !== snapshot.anew_at) {
+  else if (shot && shot.anew_at !== snapshot.anew_at) {
     banner('The machine was started anew. Local calibration and targets are void: reset and enable, begin with “Turn parallel”, click the targets again.', true);
     say('', true);
   }
@@ -50,7 +49,6 @@ function showSnapshot(snapshot) {
   showOverlay(shot.overlay, shot.tolerance_mm);
   showTargets(shot.overlay?.size, ['moving', 'stopping'].includes(shot.state?.group_state));
   update(shot, operate);
-  if (shot.recorded && showTransport(shot.recorded)) clearPlots();
   showVerdict(shot.look, shot.told, shot.time - shot.looked_at);
   showArm(shot);
   showFurther(shot);
@@ -65,8 +63,8 @@ function judge() {
   const locked = lastTrouble?.status === 401;
   showChips(shot, stale ? (old === null ? null : Math.round(old / 1000)) : null, locked);
   if (stale) showUnknown();
-  if (stale && shot && !recorded) update(null, false);
-  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale && locked ? 'Sign in to see the machine.' : stale ? `${recorded ? 'The replay' : 'The vision PC'} does not answer.`
+  if (stale && shot) update(null, false);
+  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale && locked ? 'Sign in to see the machine.' : stale ? 'The vision PC does not answer.'
     : crowded ? 'Other windows of this browser show the pictures.' : '');
 }
 
@@ -103,7 +101,6 @@ async function whoAmI() {
   if (!answered) return;
   answeredBy = instance;
   operate = answer.document.role === 'operate';
-  if (recorded) return;
   followEmulator(answer.document.emulator_face, showTruth);
   write(byId('whoami'), answer.document.token_wanted ? `${answer.document.role} (token)` : 'operate');
   offerPrograms();
@@ -143,17 +140,16 @@ function installTheme() {
 }
 
 takeToken();
-if (recorded) installTransport();
-else installStop();
+installStop();
 installActions();
 installFurther();
-if (!recorded) tellCurl(byId('stop'), () => ['POST', '/stop']);
+tellCurl(byId('stop'), () => ['POST', '/stop']);
 installLayers();
 installArm();
 installTheme();
 update(null, false);
 const again = [followState(showSnapshot, lost), followPictures(showPicture, noPicture)];
-if (!recorded) installTargets();
+installTargets();
 installSignIn(() => { answeredBy = null; whoAmI(); for (const begin of again) begin(); });
 whoAmI();
 addEventListener('keydown', (event) => { // Space stops the arm, so that Enter ticks

@@ -28,9 +28,8 @@ export function signed(value, digits = 2) {
   return (value < 0 ? '−' : '+') + Math.abs(value).toFixed(digits);
 }
 
-/** A time of day; of a recording the minutes and seconds since it began. */
+/** A time of day. */
 export function clock(seconds) {
-  if ('recorded' in document.documentElement.dataset) return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
   return new Date(1000 * seconds).toLocaleTimeString('en-GB');
 }
 

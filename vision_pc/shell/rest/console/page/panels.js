@@ -1,7 +1,6 @@
 // Links and health, the ladder of the group's states, the way on after a fault, and alarms.
 
 import { attribute, byId, clock, make, milliseconds, write } from './dom.js';
-import { chipsOf, recorded } from './transport.js';
 
 const STATES = { disabled: 'disabled', standby: 'standby', moving: 'moving', stopping: 'stopping', error_stop: 'error stop' };
 const TRIALS = {
@@ -22,7 +21,7 @@ const MARKS = { 1: '▲', 2: '◆', 3: '●' };
 /** Chips of the header: [name, value, priority of what is wrong or 0]; `locked`: nothing is told without a token. */
 export function showChips(shot, stale, locked) {
   const state = shot?.state;
-  const chips = locked && (stale !== null || !shot) ? [['console', 'wants a token', 1]] : stale !== null || !shot ? [['console', `no word from the ${recorded ? 'replay' : 'vision PC'}${stale === null ? '' : ` for ${stale} s`}`, 1]] : shot.recorded ? chipsOf(shot) : [
+  const chips = locked && (stale !== null || !shot) ? [['console', 'wants a token', 1]] : stale !== null || !shot ? [['console', `no word from the vision PC${stale === null ? '' : ` for ${stale} s`}`, 1]] : [
     ['controller', state ? milliseconds(shot.link.age_ms) + ' ago' : 'no session', state ? (shot.link.age_ms > 200 ? 2 : 0) : 1],
     ['plant', !state ? 'unknown' : state.plant_link_ok ? 'answers' : 'silent', !state ? 0 : state.plant_link_ok ? 0 : 1],
     ['camera', shot.camera.trouble ? shot.camera.trouble.replace('link.camera_', '') : `${shot.camera.rate_hz.toFixed(1)} /s`, shot.camera.trouble ? 2 : 0],
@@ -96,7 +95,7 @@ function showWorst(active) {
 /** No alarm is known of while nothing is heard; one that was active still stands there. */
 export function showUnknown() {
   const line = byId('alarm-line');
-  if (!line.className) write(line.firstElementChild, recorded ? 'No word from the replay' : 'Alarms are not known: nothing is heard');
+  if (!line.className) write(line.firstElementChild, 'Alarms are not known: nothing is heard');
 }
 
 /** Active alarms first, then those that ended. */
@@ -112,11 +111,10 @@ export function showAlarms(alarms) {
       make('td', {}, lasts ? make('span', { class: `prio prio-${alarm.priority}` }, `${MARKS[alarm.priority]} ${alarm.priority}`) : make('span', { class: 'prio' }, '–')),
       make('td', {}, `${alarm.detail}. `, make('b', {}, lasts || alarm.ended_at === alarm.began_at ? alarm.advice : ''), make('small', {}, make('code', {}, alarm.cause), ended && ` · ${ended}`)));
   });
-  if (!rows.length) rows.push(make('tr', { class: 'ended' }, make('td', { colspan: 3 }, recorded ? 'Nothing had happened by then.' : 'Nothing has happened since the console was opened.')));
+  if (!rows.length) rows.push(make('tr', { class: 'ended' }, make('td', { colspan: 3 }, 'Nothing has happened since the console was opened.')));
   const told = rows.map((row) => row.textContent).join('|');
   const body = byId('alarm-rows');
   if (body.dataset.told !== told) { body.dataset.told = told; body.replaceChildren(...rows); }
-  const name = recorded ? 'Recorded · Longreach' : 'Longreach console';
-  document.title = active.length ? `${MARKS[active[0].priority]} ${active[0].cause} · ${recorded ? name : 'Longreach'}` : name;
+  document.title = active.length ? `${MARKS[active[0].priority]} ${active[0].cause} · Longreach` : 'Longreach console';
 }
 

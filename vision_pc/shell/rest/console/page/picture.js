@@ -2,7 +2,6 @@
 
 import { byId, signed, write } from './dom.js';
 import { aimed } from './targets.js';
-import { recorded } from './transport.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const LOUPE = { mm: 30, least: 24, most: 160 }; // what it is wide, and its limits in pixels of the left eye
@@ -23,7 +22,7 @@ export async function showPicture(message) {
   arrived = performance.now();
   paintLoupe();
   byId('no-picture').hidden = true;
-  write(byId('frame-told'), recorded ? `frame ${message.frame} · measured in ${(message.ageMs / 1000).toFixed(1)} s before` : `frame ${message.frame} · ${Math.round(message.ageMs + late(message.encodedMs))} ms old`);
+  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(message.ageMs + late(message.encodedMs))} ms old`);
   byId('left').dataset.captureMs = message.encodedMs - message.ageMs;
   byId('left').dataset.frame = message.frame;
 }

@@ -83,11 +83,6 @@ export function addToPlots(shot) {
   }
 }
 
-/** Forgets what was, such as when a recording was moved. */
-export function clearPlots() {
-  for (const { data } of made) for (const column of data) column.length = 0;
-}
-
 /** Draws; called less often than values come. */
 export function drawPlots() {
   for (const { strip, data, plot, place } of made) {

@@ -1,0 +1,111 @@
+"""The one mutator of the conformance suites: a controller is broken in a hook or in a place of its source.
+
+Every table of broken controllers is made of ``hooked`` and ``edited``; ``tests.conformance.mutant_report``
+asks them all.
+"""
+
+import importlib
+import sys
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from controller.core.inbox import Inbox
+from protocol.authentication import LinkKey
+from protocol.datagram import decode, encode
+from protocol.faults import CommandCode
+from protocol.reference_messages import Command, Request
+from protocol.server_session import ReferenceServer
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.support.paths import ROOT
+
+KEY = LinkKey(bytes(range(32)))
+# In the order in which they need one another.
+MODULES = {
+    "authentication": "protocol.authentication", "datagram": "protocol.datagram",
+    "channel": "protocol.channel", "ledger": "protocol.command_ledger", "factory": "protocol.session_factory",
+    "server": "protocol.server_session", "inbox": "controller.core.inbox",
+}  # fmt: skip
+Make = Callable[[], ControllerUnderTest]
+# Module, what stands there, and what stands there instead.
+Edit = tuple[str, str, str]
+
+
+class BrokenController(NamedTuple):
+    """A controller that breaks one clause. ``unseen``: why nobody can tell from outside, if so.
+
+    ``case``: the one meant for it, which is asked first.
+    """
+
+    name: str
+    clause: str
+    make: Make
+    key: LinkKey | None = None
+    unseen: str = ""
+    case: int = 0
+
+
+class KeyedController(ControllerUnderTest):
+    """A sound controller that has a key."""
+
+    link_key: LinkKey = KEY
+
+
+def hooked(**members: Any) -> Make:
+    """Makes controllers of which these methods or attributes are other ones."""
+    return lambda: type("Hooked", (ControllerUnderTest,), members)()
+
+
+def edited(*edits: Edit, key: bool = False) -> Make:
+    """Makes controllers whose code of the link is a copy of ours in which ``edits`` are made."""
+    return partial(_Copied, edits, key)
+
+
+class _Copied(ControllerUnderTest):
+    def __init__(self, edits: tuple[Edit, ...], key: bool) -> None:
+        copies = _copies(edits)
+        self._server_class: Any = copies["server"].ReferenceServer
+        self._inbox_class: Any = copies["inbox"].Inbox
+        # The key, too, is made by the changed copy.
+        self.link_key = copies["authentication"].LinkKey(bytes(range(32))) if key else None
+        super().__init__()
+
+    def make_server(self) -> ReferenceServer:
+        return self._server_class(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
+
+    def make_inbox(self) -> Inbox:
+        return self._inbox_class()
+
+
+@cache
+def _source(module: str) -> str:
+    return ROOT.joinpath(*Path(*MODULES[module].split(".")).with_suffix(".py").parts).read_text()
+
+
+def _copies(edits: tuple[Edit, ...]) -> dict[str, ModuleType]:
+    originals = {name: importlib.import_module(name) for name in MODULES.values()}
+    copies: dict[str, ModuleType] = {}
+    try:
+        for short, name in MODULES.items():
+            text = _source(short)
+            for _, old, new in (edit for edit in edits if edit[0] == short):
+                assert old in text, f"{name} has no {old!r}"
+                text = text.replace(old, new)
+            sys.modules[name] = copies[short] = ModuleType(name)
+            exec(compile(text, name, "exec"), copies[short].__dict__)
+    finally:
+        sys.modules.update(originals)
+    return copies
+
+
+def reworked(data: bytes, kind: type, rework: Callable[[Any], Any]) -> bytes:
+    """``data`` with its message replaced by ``rework(message)`` if it is of ``kind``."""
+    header, message = decode(data)
+    return encode(rework(message), header) if isinstance(message, kind) else data
+
+
+def says(code: CommandCode, request: Request) -> bool:
+    """Whether ``request`` is the command ``code``."""
+    return isinstance(request, Command) and request.code is code

@@ -1,0 +1,219 @@
+"""Pages against one another and the code: links, readers, words, steps, tables, equations."""
+
+import ast
+import functools
+import importlib
+import inspect
+import os
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS
+from conformance.runner import coupler_cases, reference_cases
+from controller.core.group_states import TRANSITIONS, Stimulus
+from controller.core.supervision import FAULTS
+from protocol.axes_group import Mode
+from protocol.faults import FAULT_TEXTS, Reason, Severity
+from tests.support.pages import page
+from tests.support.paths import DOCS, ROOT
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")]
+_LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)")
+
+
+@functools.cache
+def _anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_link_leads_somewhere() -> None:
+    links = [(at, *link) for at in PAGES for link in _LINK.findall(at.read_text(encoding="utf-8"))]
+    assert len(links) > 100
+    astray = []
+    for at, target, anchor in links:
+        file = (at.parent / target).resolve() if target else at
+        if not file.exists() or (anchor and anchor not in _anchors(file)):
+            astray.append(f"{at.relative_to(ROOT)}: {target}#{anchor}")
+    assert astray == []
+
+
+def test_every_decision_is_in_the_index() -> None:
+    records = {path.name for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md")}
+    index = (ROOT / "docs" / "decisions" / "README.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"\]\(([0-9][^)]+)\)", index)) == records
+
+
+READ = sorted({*DOCS.glob("*.md"), *DOCS.glob("how_to/*.md")} - {DOCS / "README.md"})
+EVERYBODY = "Everybody"
+
+
+@functools.cache
+def readers() -> dict[Path, list[str]]:
+    """Of every page that docs/README.md links, the headings under which it does, without what they do."""
+    found: dict[Path, list[str]] = {}
+    for section in (DOCS / "README.md").read_text(encoding="utf-8").split("\n## ")[1:]:
+        who = section.partition("\n")[0].partition(":")[0].strip()
+        for target in re.findall(r"\]\(([^)#]+\.md)(?:#[^)]*)?\)", section):
+            known = found.setdefault((DOCS / target).resolve(), [])
+            if who not in known:
+                known.append(who)
+    return found
+
+
+def in_a_sentence(who: str) -> str:
+    """``who`` as it stands in the middle of one."""
+    return who if who.startswith("PLC") else who.lower()
+
+
+def line_for(page: Path) -> str:
+    """What stands under the title of ``page``."""
+    who = readers().get(page.resolve(), [])
+    assert who, f"docs/README.md has no link to {page.relative_to(DOCS)}"
+    told = "everybody" if EVERYBODY in who else ", ".join(map(in_a_sentence, who))
+    glossary = os.path.relpath(DOCS / "glossary.md", page.parent)
+    words = "" if page.name == "glossary.md" else f" Words: [glossary]({glossary})."
+    return f"For: {told}.{words}"
+
+
+def test_the_line_under_the_title_names_the_readers() -> None:
+    heads = {page: page.read_text(encoding="utf-8").split("\n", 4)[:4] for page in READ}
+    assert [page for page, head in heads.items() if not head[0].startswith("# ")] == []
+    under = {page: ["", line_for(page), ""] for page in READ}
+    assert {page: head[1:] for page, head in heads.items()} == under
+
+
+def test_there_are_pages_for_every_reader() -> None:
+    told = {who for found in readers().values() for who in found}
+    assert told == {"Researcher", "PLC engineer", "Vision engineer", "Operator", EVERYBODY}
+    assert len(READ) > 30
+
+
+NAMED = re.findall(r"`([a-z_]+/[\w/]+\.py)(?:: (\w+))?`", page("glossary.md"))
+
+
+def test_what_the_glossary_names_exists() -> None:
+    assert len(NAMED) > 45
+    assert [(file, name) for file, name in NAMED if name not in {"", *_defined(file)}] == []
+
+
+def _defined(file: str) -> set[str]:
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    defined = {node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)}
+    defined |= {node.name for node in tree.body if isinstance(node, ast.AsyncFunctionDef)}
+    for node in tree.body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        defined |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return defined
+
+
+def test_steps_are_cases_each_once_and_those_that_move_come_behind_those_that_do_not() -> None:
+    for steps, cases in ((REFERENCE_STEPS, reference_cases()), (COUPLER_STEPS, coupler_cases())):
+        by_number = {case.number: case for case in cases}
+        numbers = [step.number for step in steps]
+        assert len(set(numbers)) == len(numbers)
+        assert set(numbers) <= set(by_number)
+        optional = [bool(by_number[number].needs) for number in numbers]
+        assert optional == sorted(optional)
+        assert all(step.hint.endswith(".") for step in steps)
+
+
+PAGE = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
+
+
+def _words(name: str) -> str:
+    return name.lower().replace("_", " ")
+
+
+def _between(mark: str) -> str:
+    match = re.search(rf"<!-- {mark} -->\n(.*?)<!-- /{mark} -->", PAGE, re.DOTALL)
+    assert match is not None
+    return match.group(1).strip()
+
+
+def state_table() -> str:
+    """The page's table of states, from the transition table."""
+    lines = [f"| stimulus | {' | '.join(_words(mode.name) for mode in Mode)} |"]
+    lines.append("| --- " * (len(Mode) + 1) + "|")
+    for stimulus in Stimulus:
+        cells = []
+        for mode in Mode:
+            after = TRANSITIONS[mode, stimulus]
+            reason = "" if after.reason is Reason.ACCEPTED else f" ({_words(after.reason.name)})"
+            cells.append(f"{'–' if after.mode is mode else _words(after.mode.name)}{reason}")
+        lines.append(f"| {stimulus.name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def fault_table() -> str:
+    """The page's table of faults, with the words of the written protocol."""
+    lines = ["| fault | when | reaction |", "| --- | --- | --- |"]
+    for row in FAULTS:
+        reaction = "stop" if row.reaction.severity is Severity.STOP else "emergency"
+        lines.append(f"| `{row.code.name}` | {FAULT_TEXTS[row.code]} | {reaction} |")
+    return "\n".join(lines)
+
+
+def test_the_table_of_states_is_the_transition_table() -> None:
+    assert _between("states") == state_table()
+
+
+def test_the_table_of_faults_is_the_supervision_s() -> None:
+    assert _between("faults") == fault_table()
+
+
+EQUATIONS = ROOT / "docs" / "equations.md"
+_BELOW = {"Hua": "vision_pc/core/hand_eye/"}
+_ROW = re.compile(r"^\| \((\d+)\)(?: to \((\d+)\))? \| [^|]+ \| `([^`]+)` \| ([^|]+) \|$")
+
+
+class Row(NamedTuple):
+    """One equation of the page, or several that one function holds."""
+
+    paper: str
+    first: int
+    last: int
+    file: str
+    function: str
+
+
+def _rows() -> list[Row]:
+    rows, paper = [], ""
+    for line in EQUATIONS.read_text(encoding="utf-8").splitlines():
+        if line.startswith("## "):
+            paper = line.split()[1]
+        match = _ROW.match(line)
+        if match is None:
+            continue
+        first, last, file, functions = match.groups()
+        where = file if "_pc/" in file or paper == "Mäkinen" else _BELOW[paper] + file
+        names = re.findall(r"`([^`]+)`", functions)
+        rows += [Row(paper, int(first), int(last or first), where, name) for name in names]
+    return rows
+
+
+def _numbers(text: str) -> set[int]:
+    """Every number that ``text`` names: (7), eq. 26, (9)-(16), (17) to (24)."""
+    named = {int(n) for n in re.findall(r"\((\d{1,2})\)", text)}
+    named |= {int(n) for n in re.findall(r"eq\. (\d{1,2})\b", text)}
+    for a, b in re.findall(r"\((\d{1,2})\)(?:-| to )\((\d{1,2})\)", text):
+        named |= set(range(int(a), int(b) + 1))
+    return named
+
+
+def test_the_function_of_each_equation_exists_and_names_its_number() -> None:
+    missing = {}
+    for row in _rows():
+        found = importlib.import_module(row.file.removesuffix(".py").replace("/", "."))
+        for part in row.function.split("."):
+            found = getattr(found, part)
+        source = inspect.getsource(getattr(found, "py_func", found))
+        missing[row] = set(range(row.first, row.last + 1)) - _numbers(source)
+    assert [(row, numbers) for row, numbers in missing.items() if numbers] == []
+    assert len(missing) > 25
+
+
+def test_every_equation_of_the_positioning_paper_has_a_row() -> None:
+    named = {n for row in _rows() if row.paper == "Mäkinen" for n in range(row.first, row.last + 1)}
+    assert named == set(range(1, 26))

@@ -1,1 +1,0 @@
-"""What is installed: the lock, its bill of materials, its known vulnerabilities."""
