@@ -38,14 +38,14 @@ LABORATORY := $(addprefix tests/, \
 		prometheus.py stop_behind_flood.py) \
 	longreach/test_documented.py \
 	plant_emulator/shell/test_plant_process.py \
-	$(addprefix testbed/, arms camera campaigns cli commissioning demonstration experiments exports \
+	laboratory \
+	$(addprefix testbed/, arms camera cli commissioning demonstration exports \
 		fault_proxy hand_eye \
-		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py \
-		validation) \
+		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
 		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) \
 		$(addprefix perception/test_, chance_markers.py stereo_fit.py) \
-		$(addprefix targets/test_, measuring.py surroundings.py template_target.py) \
+		$(addprefix targets/test_, measuring.py surroundings.py) \
 		$(addprefix shell/test_, api_schema.py target_routes.py)))
 
 .PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
@@ -159,8 +159,8 @@ audit: $(AUDIT)/.stamp  ## known vulnerabilities of what runs; status 1: there a
 lock:  ## resolve pyproject.toml again into both lock files
 	"$(PYTHON)" -m venv $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
-	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build $(LOCK_FLAGS) -o requirements.lock
-	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group dev -c requirements.lock $(LOCK_FLAGS) -o requirements-dev.lock
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group laboratory $(LOCK_FLAGS) -o requirements.lock
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group laboratory --group dev -c requirements.lock $(LOCK_FLAGS) -o requirements-dev.lock
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group peers -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-peers.lock
 	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:audit $(LOCK_FLAGS) -o requirements-audit.lock
 	rm -rf $(VENV)-lock

@@ -44,6 +44,7 @@ OUR_PACKAGES = frozenset(
         "conformance",
         "dissector",
         "testbed",
+        "laboratory",
     }
 )
 KEYS_KEPT = 16  # of each module: the present one, those of other working copies, and a few to go back to

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from testbed.experiments.positioning.worlds import WORLDS
+from laboratory.experiments.positioning.worlds import WORLDS
 from tools.protocol_page import filled
 from tools.tables import table
 

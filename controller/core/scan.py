@@ -9,7 +9,6 @@ import numpy as np
 from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
 from controller.core.parking.parking import control_step
-from controller.core.parking.standing import parking_before, rests_settled, standing_after, stands_now
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
 from controller.core.references.streaming import pace, silence, update_fade
 from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
@@ -40,6 +39,7 @@ from controller.core.servo.servo_step import (
     servo_step,
 )
 from controller.core.settings import ScanSettings
+from controller.core.standing import parking_before, rests_settled, standing_after, stands_now
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode

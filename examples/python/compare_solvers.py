@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from testbed.experiments.hand_eye.scenes import measured_with_bad, noise, viewing_scene
+from laboratory.experiments.hand_eye.scenes import measured_with_bad, noise, viewing_scene
 from vision_pc.config.choices import Method
 from vision_pc.core.hand_eye.solvers.methods import solve
 

@@ -1,6 +1,8 @@
 """`longreach doctor`: shows every check with its verdict, and what to do about what is wrong."""
 
 from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +15,6 @@ from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.shell.installed_faults import every_kind, installed_faults
 from protocol.errors import ConfigurationError
 from testbed.arms.check import check_arm
-from testbed.experiments.catalogue import OURS, added, catalogue
 from testbed.realtime import doctor
 from testbed.realtime.arm_check import arm_check
 from testbed.realtime.doctor import HealthCheck
@@ -132,16 +133,19 @@ def _disturbances() -> Iterator[Runnable]:
 
 
 def _experiments() -> Iterator[Runnable]:
-    """Ours are not loaded: that they can be is tested."""
-    for name, entry in OURS.items():
+    """Those of the laboratory, where it is installed. Ours are not loaded: that they can be is tested."""
+    if find_spec("laboratory") is None:
+        return
+    known = import_module("laboratory.experiments.catalogue")
+    for name, entry in known.OURS.items():
         yield Runnable("experiment", name, f"{entry.shows} ({entry.cost} a run)", _OURS)
-    for one in added():
+    for one in known.added():
         row = Runnable("experiment", one.name, "", one.package)
         if one.taken:
             yield row._replace(trouble=f"extension.name_taken: {one.taken}")
             continue
         try:
-            yield row._replace(shows=catalogue()[one.name].load().title)
+            yield row._replace(shows=known.catalogue()[one.name].load().title)
         except ConfigurationError as error:
             yield row._replace(trouble=f"{error.cause}: {error}")
 

@@ -4,6 +4,7 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -20,6 +21,16 @@ class Later(NamedTuple):
     place: str
     told: str
     example: str | None = None
+
+    @property
+    def package(self) -> str:
+        """The top-level package that it comes from."""
+        return self.place.partition(".")[0]
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether that package is there: the suites and the laboratory are distributions of their own."""
+        return find_spec(self.package) is not None
 
     def load(self) -> Any:
         """The command itself."""

@@ -11,6 +11,7 @@ from foundation.command_options import shipped_configs, unfolded
 from protocol.errors import ConfigurationError
 from testbed.cli.options import (
     DEFAULT_CONFIG,
+    DEFAULT_RUNS,
     ConfigDir,
     DemoOptions,
     DemoTarget,
@@ -22,7 +23,6 @@ from testbed.cli.options import (
     Scenario,
     Seed,
     Settings,
-    SoakOptions,
     StartOptions,
     TriedElsewhere,
 )
@@ -45,13 +45,6 @@ def longreach(
     ] = False,
 ) -> None:
     """Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command."""
-
-
-FreePorts = Annotated[
-    bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
-]
-
-DEFAULT_RUNS = Path("runs")
 
 
 @app.command(epilog="Example: longreach doctor --json doctor.json")
@@ -217,27 +210,6 @@ def demo(
         held, live = chosen.hold, start.foxglove
         passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file, held, live)
     raise typer.Exit(0 if passed else 1)
-
-
-@app.command(epilog="Example: longreach soak --minutes 60 --faults --json soak.json")
-@unfolded
-def soak(
-    chosen: SoakOptions,
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    free_ports: FreePorts = False,
-    runs: RunsDir = DEFAULT_RUNS,
-    json_file: JsonFile = None,
-) -> None:
-    """Run all three services at rest and in motion, polled and followed; exit status 0 within all limits."""
-    from foundation.configuration import merged, parse_overrides
-    from testbed.experiments.robustness.soak.command import SoakRequest, run_soak
-
-    cycle = {"controller": {"cycle_ms": chosen.cycle_ms}}
-    overrides = merged(parse_overrides(settings or []), cycle)
-    request = SoakRequest(chosen.minutes, chosen.faults, seed, config_dir, overrides, free_ports, runs)
-    raise typer.Exit(0 if run_soak(request, json_file) else 1)
 
 
 @app.command(

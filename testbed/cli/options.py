@@ -25,6 +25,11 @@ JsonFile = Annotated[
 ]
 
 DEFAULT_CONFIG = usual_configs()
+FreePorts = Annotated[
+    bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
+]
+
+DEFAULT_RUNS = Path("runs")
 
 
 class StartOptions(NamedTuple):
@@ -107,14 +112,6 @@ class TriedElsewhere(NamedTuple):
         Path | None,
         typer.Option(help="What the vision PC's operation valve-trials answered: plays, the camera's delay."),
     ] = None
-
-
-class SoakOptions(NamedTuple):
-    """How long a soak lasts, and how hard it is."""
-
-    minutes: Annotated[float, typer.Option(min=0.1, max=1440.0, help="How long.")] = 10.0
-    cycle_ms: Annotated[float, typer.Option(min=1.0, max=10.0, help="The controller's cycle.")] = 5.0
-    faults: Annotated[bool, typer.Option("--faults", help="Break the plant at random times.")] = False
 
 
 class OdometryOptions(NamedTuple):

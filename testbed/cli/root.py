@@ -11,7 +11,7 @@ from typing import Any
 import typer
 from typer.exceptions import TyperException
 
-from protocol.errors import LongreachError
+from protocol.errors import ConfigurationError, LongreachError
 from testbed.cli.later import Later, LaterGroup
 from testbed.reporting.console import Verbosity, err
 from testbed.reporting.ctrl_c import INTERRUPTED, LONG, long_command
@@ -19,7 +19,12 @@ from testbed.reporting.ctrl_c import INTERRUPTED, LONG, long_command
 FAILED = 2
 _TYPED = "longreach.typed"  # the words after `longreach`, in the context's notes
 LATER = {
-    "experiment": Later("testbed.cli.experiment", "Seeded experiments that write tables."),
+    "experiment": Later("laboratory.command", "Seeded experiments that write tables."),
+    "soak": Later(
+        "laboratory.command:soak",
+        "Run all three services at rest and in motion, polled and followed; exit status 0 within all limits.",
+        "Example: longreach soak --minutes 60 --faults --json soak.json",
+    ),
     "runs": Later("testbed.cli.runs", "Runs that were kept."),
     "recording": Later(
         "testbed.cli.recording", "What is in a recording, whether it is whole, what can be made of it."
@@ -72,15 +77,22 @@ _CAUSES = {  # of what the command line itself refuses
 class RootGroup(LaterGroup):
     """The group of all commands."""
 
-    later = MappingProxyType({name: one.told for name, one in LATER.items()})
+    later = MappingProxyType({name: one.told for name, one in LATER.items() if one.is_installed})
 
     def load(self, name: str) -> Any:
         """The command or group called ``name``."""
         return LATER[name].load()
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that ``args`` begin with, loaded, and the other arguments."""
+        """The command that ``args`` begin with, loaded, and the other arguments.
+
+        Raises ConfigurationError (``extension.not_installed``) for one of a distribution that is absent.
+        """
         ctx.meta[_TYPED] = list(args)
+        if args[0] in LATER and not LATER[args[0]].is_installed:
+            package = LATER[args[0]].package
+            why = f"longreach {args[0]} is of the package {package}, which is not installed; in a checkout: "
+            raise ConfigurationError("extension.not_installed", f"{why}pip install ./{package}")
         return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:

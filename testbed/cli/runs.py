@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from protocol.errors import ConfigurationError
-from testbed.cli.options import JsonFile
+from testbed.cli.options import DEFAULT_RUNS, JsonFile
 from testbed.reporting.console import listed, out, table, write_json
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Runs that were kept.", no_args_is_help=True)
 Runs = Annotated[Path, typer.Option("--out", help="Where directories of runs are.")]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Its name, how that begins, or: last.")]
-DEFAULT_RUNS = Path("runs")
 _CODE = ("version", "commit", "uncommitted", "libraries")
 _SHOWN = (*_CODE, "command", "process", "machine", "changed", "format")  # in another form, or not
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from laboratory.campaigns.campaign import CampaignRequest, run_campaign
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
 from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import FaultCode, GroupState
-from testbed.campaigns.campaign import CampaignRequest, run_campaign
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from controller.core.settings import settings_from
+from laboratory.experiments.positioning.corrected_run import settings_of
 from plant_emulator.core.plant import Plant
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.experiments.positioning.corrected_run import settings_of
 from testbed.lockstep.core_loop import ClosedLoop
 from tests.controller.conftest import CONFIGS
 

@@ -19,6 +19,7 @@ from pyModbusTCP.client import ModbusClient
 from controller.config import PlantLinkConfig
 from controller.shell.plant_link import PlantLink
 from foundation.event_log import EventLog
+from laboratory.experiments.robustness.controller_kills import insist, trial_rig
 from plant_emulator.shell.coupler import Coupler
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
@@ -32,7 +33,6 @@ from protocol.process_image import (
     encode_valves,
 )
 from protocol.reference_messages import Command, ReferencePose
-from testbed.experiments.robustness.controller_kills import insist, trial_rig
 from testbed.realtime.live_client import LiveClient
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 from tests.controller.obedient_plant import START_DEG, counts

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from testbed.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
+from laboratory.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.realtime

@@ -14,6 +14,10 @@ from typer.testing import CliRunner
 
 import longreach
 from foundation.extensions import installed
+from laboratory.campaigns.campaign import CampaignRequest
+from laboratory.experiments import catalogue
+from laboratory.experiments.positioning import programs
+from laboratory.experiments.positioning.programs import ProgramsSettings, programs_tasks
 from plant_emulator.core import columns as col
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out, fault_state
@@ -22,12 +26,8 @@ from plant_emulator.core.faults.schedule import NEVER_NS
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api, installed_faults
 from protocol.errors import ConfigurationError, RequestRefused
-from testbed.campaigns.campaign import CampaignRequest
 from testbed.cli.main import app
 from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.experiments import catalogue
-from testbed.experiments.positioning import programs
-from testbed.experiments.positioning.programs import ProgramsSettings, programs_tasks
 from testbed.reporting.console import bars
 from testbed.scenarios.named_requests import fault_orders, named_request
 from tests.plant_emulator.camera.camera_world import scene_config
@@ -133,7 +133,7 @@ CAUSES = {
     ("disturbances", "other_kind of other-crane"): "extension.wrong_name: its kind is 'swinging_load'",
     ("experiments", "paper of other-crane"): "extension.name_taken: Longreach's own",
     ("experiments", "failing of other-crane"): "extension.not_loaded: broken_crane:X: ZeroDivisionError",
-    ("experiments", "none of other-crane"): "extension.wrong_type: wanted a testbed.",
+    ("experiments", "none of other-crane"): "extension.wrong_type: wanted a laboratory.",
 }
 
 

@@ -74,9 +74,25 @@ def test_an_empty_folder_finds_the_configuration(installed: Path) -> None:
     assert told.split() == [str(installed / "longreach" / "configs"), "3.0"]
 
 
+_WITHOUT_LABORATORY = (
+    "import sys; sys.modules['laboratory'] = None; from testbed.cli.main import app; app({})"
+)
+
+
+def test_the_laboratory_is_not_in_it_and_its_commands_say_how_to_get_it(installed: Path) -> None:
+    assert not (installed / "laboratory").exists()
+    assert not (installed / "tools").exists()
+    helped = run(installed, "-c", _WITHOUT_LABORATORY.format(["--help"]))
+    assert "soak" not in helped
+    assert "demo" in helped
+    run(installed, "-c", _WITHOUT_LABORATORY.format(["programs"]))
+    with pytest.raises(AssertionError, match=r"extension\.not_installed.*pip install \./laboratory"):
+        run(installed, "-c", _WITHOUT_LABORATORY.format(["experiment", "list"]))
+
+
 @pytest.mark.experiment
 def test_the_demonstration_ends_at_the_object(installed: Path) -> None:
-    run(installed, "-m", "testbed.cli.main", "demo", "--lockstep", "--seed", "1")
+    run(installed, "-c", _WITHOUT_LABORATORY.format(["demo", "--lockstep", "--seed", "1"]))
     run(installed, "-m", "testbed.cli.main", "init")
     run(installed, "-m", "testbed.cli.main", "arm", "check", "long_crane")
 

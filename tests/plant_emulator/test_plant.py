@@ -6,6 +6,7 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from foundation.configuration import load
+from laboratory.validation.plant_rig import Stand, default_config
 from nominal_arm.description import NominalArm
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
@@ -22,7 +23,6 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
     ValveImage,
 )
-from testbed.validation.plant_rig import Stand, default_config
 from tests.plant_emulator.plant_world import CONFIGS, CYCLE_NS, SHUT, Driver, plant_config
 
 LIFT_UP = (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from laboratory.experiments.positioning.corrected_run import operate, prepared
 from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.experiments.positioning.corrected_run import operate, prepared
 from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from testbed.lockstep.rig import LockstepRig

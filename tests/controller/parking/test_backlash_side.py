@@ -15,10 +15,10 @@ from controller.core.parking.metering import decompression_spool, oil_to_release
 from controller.core.parking.parking import _has_arrived as has_arrived
 from controller.core.parking.parking import needs_move, phase_spool
 from controller.core.parking.rest import arm_rested, judge_rest, may_stop_here, watch_creep
-from controller.core.parking.standing import rests_settled
 from controller.core.scan_types import ScanState, initial_state
 from controller.core.servo_settings import parking_law
 from controller.core.settings import settings_from
+from controller.core.standing import rests_settled
 from nominal_arm.commissioned import Commissioned, JointPlay, MeasuredNumber
 from nominal_arm.description import NominalArm
 

@@ -17,8 +17,8 @@ from controller.core.parking.joint import (
 )
 from controller.core.parking.parking import needs_move, next_move
 from controller.core.parking.rest import arm_rested, judge_rest, may_stop_here, unsettled_joints
-from controller.core.parking.standing import _at_rest
 from controller.core.scan_types import ScanEvent
+from controller.core.standing import _at_rest
 
 DT_S, LEVER_M, WAY_M, CALM_S, LEAVES_RAD = 0.005, 5.0, 2e-4, 3.0, 2.7e-4
 ONES, GAINS = np.ones(6), np.full(2, 0.4)

@@ -8,6 +8,7 @@ from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python, rtsys
 
 from foundation.compiled import allocation_free
+from laboratory.validation.plant_balances import resting_arm
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.mechanics.spatial import (
     cross,
@@ -20,7 +21,6 @@ from plant_emulator.core.mechanics.spatial import (
     turned_back,
 )
 from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
-from testbed.validation.plant_balances import resting_arm
 from tests.plant_emulator.plant_world import CONFIGS
 
 POSE = [0.0, 50.0, -75.0, 0.0, -25.0, 0.0]

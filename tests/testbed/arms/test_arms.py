@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 
 import longreach
 from foundation.configuration import laid_over, layers, parse_overrides
+from laboratory.campaigns.provenance import content_hash
 from protocol.errors import ConfigurationError
 from testbed.arms.check import check_arm
-from testbed.campaigns.provenance import content_hash
 from testbed.cli.main import app
 from testbed.pictures.machine import draw_machine
 from testbed.scenarios.arms import arm_directory, arm_names, arm_overrides

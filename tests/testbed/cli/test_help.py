@@ -10,10 +10,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from testbed.cli.experiment import ExperimentGroup
+from laboratory.command import ExperimentGroup
+from laboratory.experiments.catalogue import OURS
 from testbed.cli.main import app
 from testbed.cli.root import LATER, PANELS
-from testbed.experiments.catalogue import OURS
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
 

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from foundation.configuration import parse_overrides
+from laboratory.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from nominal_arm.commissioned import Commissioned
 from testbed.commissioning.command import CommissionRequest, run_commission
-from testbed.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from laboratory.experiments.hand_eye import scenes
 from protocol.errors import LongreachError
 from testbed.cli.main import app
-from testbed.experiments.hand_eye import scenes
 from testbed.hand_eye.importer import FORMAT, load
 from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks

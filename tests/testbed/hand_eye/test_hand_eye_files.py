@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from laboratory.experiments.hand_eye.scenes import HandEyeScene
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye.scenes import HandEyeScene
 from testbed.hand_eye import trajectories
 from testbed.hand_eye.importer import FORMAT, ImportOptions, load
 from testbed.hand_eye.trajectories import PairingOptions, Trajectory

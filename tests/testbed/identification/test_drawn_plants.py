@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
+from laboratory.campaigns.experiment import Check, Finished
+from laboratory.experiments.robustness import identification as drawn_plants
+from laboratory.experiments.robustness.identification import DrawSettings, IdentifiedRow, draw_verdict
 from protocol.errors import ConfigurationError
-from testbed.campaigns.experiment import Check, Finished
-from testbed.experiments.robustness import identification as drawn_plants
-from testbed.experiments.robustness.identification import DrawSettings, IdentifiedRow, draw_verdict
 from tests.support.paths import CONFIGS
 
 GOOD = IdentifiedRow(1, 36, 35, 1.0, 0, 2.5, "lift play", 1.0, 0.9985, -0.5, 140, 0.1, 0.9, cpu_s=60.0)

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import cv2
 import pytest
 
+from laboratory.experiments.positioning.corrected_run import prepared
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, GroupState
 from protocol.reference_messages import Command, ReferencePath
 from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.experiments.positioning.corrected_run import prepared
 from testbed.lockstep.controller_side import ControllerSide
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from testbed.experiments.positioning.corrected_run import adapting
+from laboratory.experiments.positioning.corrected_run import adapting
 from testbed.lockstep.frames import SimulatedFrame
 from tests.support.paths import CONFIGS
 from tests.testbed.lockstep.test_simulated_measurements import Stage, noisy

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from laboratory.experiments.positioning.corrected_run import operate, true_error_mm
 from protocol.errors import MeasurementFailed
 from protocol.faults import GroupState
-from testbed.experiments.positioning.corrected_run import operate, true_error_mm
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight

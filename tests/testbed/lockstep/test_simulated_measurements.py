@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from foundation.configuration import merged
+from laboratory.campaigns.rows import typed
+from laboratory.experiments.positioning.eyes_measure import MeasuredRow, parameters
 from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.errors import ConfigurationError, MeasurementFailed
-from testbed.campaigns.rows import typed
-from testbed.experiments.positioning.eyes_measure import MeasuredRow, parameters
 from testbed.lockstep.frames import SimulatedFrame
 from testbed.lockstep.simulated_measurements import (
     CornerNoise,

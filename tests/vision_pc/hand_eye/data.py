@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from testbed.experiments.hand_eye import scenes
-from testbed.experiments.hand_eye.scenes import HandEyeScene
+from laboratory.experiments.hand_eye import scenes
+from laboratory.experiments.hand_eye.scenes import HandEyeScene
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs

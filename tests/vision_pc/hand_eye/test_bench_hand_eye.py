@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from testbed.experiments.hand_eye import scenes
+from laboratory.experiments.hand_eye import scenes
 from vision_pc.config.choices import Method
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import methods

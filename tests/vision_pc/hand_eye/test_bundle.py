@@ -6,8 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from laboratory.experiments.hand_eye.localisation import (
+    LocalisationRig,
+    LocalisationSession,
+    simulated_session,
+)
 from protocol.errors import MeasurementFailed
-from testbed.experiments.hand_eye.localisation import LocalisationRig, LocalisationSession, simulated_session
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import bundle, methods

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import scipy.sparse
 
+from laboratory.experiments.hand_eye import scenes
 from protocol.errors import MeasurementFailed
-from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import chordal

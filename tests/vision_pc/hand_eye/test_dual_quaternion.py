@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.optimize
 
-from testbed.experiments.hand_eye import scenes
+from laboratory.experiments.hand_eye import scenes
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import classical
 from vision_pc.core.hand_eye.solvers.classical import Forms

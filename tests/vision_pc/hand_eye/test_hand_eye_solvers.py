@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from laboratory.experiments.hand_eye import scenes
 from protocol.errors import MeasurementFailed
-from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import exact_pairs, noisy_pairs, random_poses, random_scene
 from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from laboratory.experiments.hand_eye import scenes
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.config.choices import Method
 from vision_pc.core import se3

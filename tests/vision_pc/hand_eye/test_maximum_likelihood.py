@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 
+from laboratory.experiments.hand_eye import scenes
 from protocol.errors import MeasurementFailed
-from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import random_poses, random_scene
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3

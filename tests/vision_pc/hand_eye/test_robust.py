@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from laboratory.experiments.hand_eye import scenes
 from protocol.errors import MeasurementFailed
-from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
 from vision_pc.config.choices import Method
 from vision_pc.core import se3

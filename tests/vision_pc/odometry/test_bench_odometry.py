@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from testbed.experiments.odometry import orb_slam3
-from testbed.experiments.odometry.orb_slam3 import PeerTrack
+from laboratory.experiments.odometry import orb_slam3
+from laboratory.experiments.odometry.orb_slam3 import PeerTrack
 from tests.vision_pc.odometry.test_odometry import pair_at, poses
 from tests.vision_pc.perception.test_markers import object_markers
 from tests.vision_pc.rendering import Marker, facing, wall_texture

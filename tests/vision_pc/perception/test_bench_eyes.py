@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from laboratory.experiments.hand_eye import real_sets
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye import real_sets
 from tests.vision_pc.perception.test_markers import Corners, measured_corners, object_markers, tool_marker
 from tests.vision_pc.perception.test_watch import World
 from tests.vision_pc.rendering import facing, render

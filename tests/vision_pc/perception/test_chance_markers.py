@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from laboratory.experiments.hand_eye.real_sets import checkerboard_pictures
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye.real_sets import checkerboard_pictures
 from vision_pc.core.perception.picture_markers import PictureMarker, found_markers, looks_right
 from vision_pc.core.types import Image
 

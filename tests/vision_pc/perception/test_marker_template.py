@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from testbed.experiments.markers.rendered_tags import MarkerAspect, TagPicture, tags
+from laboratory.experiments.markers.rendered_tags import MarkerAspect, TagPicture, tags
 from vision_pc.core.perception.marker_template import TemplateFit, fit
 from vision_pc.core.perception.picture_markers import found_markers
 from vision_pc.core.se3 import Array

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from testbed.experiments.targets.drawn_walls import Aspect, DrawnWall, drawn_wall
+from laboratory.experiments.targets.drawn_walls import Aspect, DrawnWall, drawn_wall
 from tests.support.paths import CONFIGS
 from vision_pc.core.targets.measuring import at_click
 from vision_pc.core.targets.sighting import Click

@@ -1,0 +1,269 @@
+"""Who makes a campaign's runs: this process, worker processes that are started for it, or a Dask cluster."""
+
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from itertools import islice
+from multiprocessing import resource_tracker
+from types import FrameType
+from typing import Any, NamedTuple
+
+import cv2
+import dask
+import distributed as untyped
+import numba
+from distributed.client import FuturesCancelledError
+from distributed.comm.addressing import parse_address, parse_host_port
+from distributed.comm.core import CommClosedError
+from distributed.scheduler import KilledWorker
+
+from laboratory.campaigns.rows import Row, flat
+from protocol.errors import ConfigurationError, LinkLost, LongreachError
+from testbed.reporting.console import bars
+
+distributed: Any = untyped  # it has types in part only
+
+Task = dict[str, Any]
+Run = Callable[[Task], Any]
+"""A task to its row: flat, or a NamedTuple."""
+
+AGAIN = "campaign."
+"""Begins the causes that say nothing about the run itself: a resumed campaign tries it again."""
+
+REACH_S = 3.0  # a scheduler that does not answer by then is not there
+_WORKERS_S = 20.0  # for the first worker of a scheduler to be there
+_MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
+_WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
+_PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
+_RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
+SPAWN_ENVIRONMENT = {
+    "OMP_NUM_THREADS": 1,
+    "OPENBLAS_NUM_THREADS": 1,
+    "MKL_NUM_THREADS": 1,
+    "MALLOC_TRIM_THRESHOLD_": 1 << 28,
+    "MALLOC_MMAP_THRESHOLD_": 1 << 28,
+}
+"""Of a worker: the memory of its pictures is kept. Dask's own gives it back, and each is mapped anew."""
+_QUIET = {
+    "distributed.nanny.pre-spawn-environ": SPAWN_ENVIRONMENT,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,  # a paused worker would wait for ever: its memory is one run's
+    "distributed.scheduler.allowed-failures": 1,  # a run that ends its worker twice would do so again
+    "distributed.scheduler.worker-ttl": None,  # compiled kernels may keep a worker from answering for long
+    "distributed.comm.timeouts.connect": "120s",  # on a busy machine a worker takes its time to start
+    "distributed.admin.large-graph-warning-threshold": "1GiB",
+}
+
+
+class _Done(NamedTuple):
+    row: Row
+    worker: str
+    memory: int  # bytes that the worker's process holds after the run
+
+
+def _run_on_worker(function: Run, task: Task) -> _Done:
+    row, worker = _run(function, task), distributed.get_worker()
+    return _Done(row, worker.address, worker.monitor.get_process_memory())
+
+
+def _run(function: Run, task: Task) -> Row:
+    """One run; whatever it raises becomes its row's failure."""
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+    began, cpu_s = time.perf_counter(), time.process_time()
+    row: Row
+    try:
+        row = {"failure": "", **flat(function(task))}
+    except LongreachError as error:
+        row = {"failure": f"{error.cause}: {error}"}
+    except Exception as error:
+        row = {"failure": f"{AGAIN}exception: {type(error).__name__}: {error}"}
+    times = {"run_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu_s}
+    return row | {name: round(value, 3) for name, value in times.items()}
+
+
+class _Workforce(NamedTuple):
+    client: Any
+    places: int  # runs that are handed out at once
+    ours: bool  # whether the workers were started here, and may be replaced
+
+
+def results(
+    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
+) -> Iterator[tuple[Task, Row]]:
+    """Each task with its row, as they are done, under a bar called ``title``.
+
+    With ``scheduler`` the runs go to its cluster; else to ``workers`` processes, or none: they are made here.
+    Raises LinkLost when nobody is there or everybody has gone, ConfigurationError for a malformed address.
+    """
+    if scheduler is None and workers == 0:
+        made = _one_by_one(function, tasks)
+    else:
+        made = _distributed(function, tasks, scheduler, workers)
+    spent: list[float] = []
+    failed = 0
+    with _ctrl_c_noted() as noted, bars() as shown, shown.step(title) as bar, closing(made):
+        for task, row in made:
+            spent.append(row.get("run_s") or 0.0)
+            failed += bool(row["failure"])
+            mean_s = sum(spent) / len(spent)
+            note = f"{len(spent)} of {len(tasks)}, {mean_s:.1f} s a run, {failed} failed"
+            bar.update(len(spent) / len(tasks), note)
+            yield task, row
+            if noted:  # the row is kept first
+                raise KeyboardInterrupt
+
+
+def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[tuple[Task, Row], None, None]:
+    for task in tasks:
+        yield task, _run(function, task)
+
+
+def _distributed(
+    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
+) -> Generator[tuple[Task, Row], None, None]:
+    with _workforce(scheduler, workers) as force:
+        waiting = iter(tasks)
+        under_way: dict[Any, Task] = {}
+
+        def start(count: int) -> None:
+            for task in islice(waiting, count):
+                under_way[force.client.submit(_run_on_worker, function, task, pure=False)] = task
+
+        start(force.places)
+        while under_way:
+            future = _first_done(force.client, list(under_way))
+            task = under_way.pop(future)
+            done = _outcome(future)
+            if force.ours and done.memory > _WORN_BYTES:
+                force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
+            start(1)
+            yield task, done.row
+
+
+def _first_done(client: Any, futures: Sequence[Any]) -> Any:
+    """The first of ``futures`` that has ended, however. Raises LinkLost when nobody works on them."""
+    while True:
+        ended = [future for future in futures if future.status != "pending"]
+        if ended:
+            return ended[0]
+        try:
+            with client.as_current():
+                distributed.wait(futures, timeout=_PATIENCE_S, return_when="FIRST_COMPLETED")
+        except (TimeoutError, FuturesCancelledError):  # cancelled: the loop above sees which
+            if not client.scheduler_info(n_workers=-1)["workers"]:
+                why = "no worker is left; the rows done until then are kept"
+                raise LinkLost("link.workers_lost", why) from None
+
+
+def _outcome(future: Any) -> _Done:
+    """What a finished future holds. Raises LinkLost when its scheduler has gone away."""
+    if future.status in ("cancelled", "lost"):
+        raise LinkLost("link.scheduler_lost", "the scheduler went away; the rows done until then are kept")
+    try:
+        done: _Done = future.result(timeout=REACH_S)
+    except KilledWorker as error:
+        return _Done({"failure": f"{AGAIN}worker_lost: {error}"}, "", 0)
+    except (OSError, CommClosedError) as error:
+        raise LinkLost("link.scheduler_lost", f"the scheduler went away: {error}") from error
+    return done
+
+
+@contextmanager
+def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
+    """Workers that are there, with a client of their scheduler; those started here are ended again."""
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(_QUIET))
+        if scheduler is None:
+            cluster = stack.enter_context(_started(workers))
+            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
+            yield _Workforce(client, workers, True)
+        else:
+            client = stack.enter_context(_reached(scheduler))
+            yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
+
+
+@contextmanager
+def _ctrl_c_noted() -> Iterator[list[int]]:
+    """Whether Ctrl-C came: where it is raised in a finaliser, Python swallows it."""
+    noted: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield noted  # signals are the main thread's
+        return
+
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.append(number)
+        before(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Ctrl-C takes effect after the block; threads and processes begun in it never hear of it."""
+    resource_tracker.ensure_running()  # else the first of the processes does so, and lets Ctrl-C in
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _started(workers: int) -> Iterator[Any]:
+    """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
+    try:
+        with _ctrl_c_held_back():  # workers inherit it: the client alone acts on Ctrl-C
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                memory_limit=_MEMORY_LIMIT,
+                silence_logs=logging.CRITICAL,
+            )
+    except (OSError, RuntimeError) as error:
+        raise LinkLost(
+            "link.workers_not_started", f"{workers} workers could not be started: {error}"
+        ) from error
+    try:
+        yield cluster
+    finally:
+        with suppress(TimeoutError):  # a worker that will not end does so with this process
+            cluster.close()
+
+
+@contextmanager
+def _reached(scheduler: str) -> Iterator[Any]:
+    """A client of the scheduler at ``scheduler``, which has at least one worker."""
+    try:
+        parse_host_port(parse_address(scheduler, strict=True)[1])  # before a client is made that cannot be
+        client = distributed.Client(scheduler, timeout=REACH_S, set_as_default=False)
+    except ValueError as error:
+        raise ConfigurationError(
+            "configuration.bad_address", f"scheduler '{scheduler}': {error}; wanted such as tcp://host:8786"
+        ) from error
+    except OSError as error:
+        raise LinkLost(
+            "link.scheduler_unreachable", f"scheduler {scheduler} does not answer within {REACH_S:g} s"
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKERS_S)
+        except TimeoutError as error:
+            raise LinkLost(
+                "link.scheduler_without_workers",
+                f"scheduler {scheduler} has no worker after {_WORKERS_S:g} s",
+            ) from error
+        yield client

@@ -1,0 +1,275 @@
+"""`longreach experiment hua`: localisation (Fig. 5 and 6) and noise (Fig. 7) of Hua et al. 2024."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import typer
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.experiment import Check, Experiment, Finished
+from laboratory.experiments.hand_eye import localisation
+from laboratory.experiments.hand_eye.localisation import LocalisationRow
+from laboratory.experiments.hand_eye.noise_sweep import NoiseOn, SweepRow, level_of
+from protocol.errors import MeasurementFailed
+from testbed.reporting.console import Columns, listed
+from vision_pc.config.choices import Method
+
+_ENOUGH = 100  # runs: with fewer, chance decides whether a mean is inside its limits
+_HIGHLIGHTED = {
+    "tsai": "#999999",
+    "horaud": "#e69f00",
+    "daniilidis": "#56b4e9",
+    "dqcr": "#0072b2",
+    "robust": "#d55e00",
+}
+
+
+class LocalisationSettings(NamedTuple):
+    """How often each target is located."""
+
+    repetitions: Annotated[int, typer.Option(min=1, help="Localisations of each task.")] = 50
+
+
+class NoiseSettings(NamedTuple):
+    """What is noisy, and how much."""
+
+    noise_on: Annotated[NoiseOn, typer.Option(help="What is noisy.")] = NoiseOn.CAMERA_POSES
+    largest: Annotated[int, typer.Option(min=1, help="Levels d = 1 … this.")] = 10
+
+
+class NoiseLevel(NamedTuple):
+    """A campaign's row: all methods at one level."""
+
+    rows: list[dict[str, Any]] | None
+    failure: str
+    cpu_s: float
+
+
+class LocalisedRun(NamedTuple):
+    """A campaign's row: all methods in one calibration."""
+
+    entries: list[Any] | None
+    failure: str
+    cpu_s: float
+
+
+Swept = Finished[NoiseSettings, NoiseLevel]
+Located = Finished[LocalisationSettings, LocalisedRun]
+
+
+def demand_all(rows: Iterable[Any]) -> None:
+    """Raise MeasurementFailed with the cause of the first run that failed."""
+    if failed := next((row.failure for row in rows if row.failure), None):
+        raise MeasurementFailed("measurement.run_failed", failed)
+
+
+def sweep_tasks(request: CampaignRequest, settings: NoiseSettings) -> list[Task]:
+    """One task a level, with all its runs."""
+    noise_on, runs, seed = settings.noise_on.value, request.runs, request.seed
+    asked = {"noise_on": noise_on, "runs": runs, "seed": seed}
+    levels = range(1, settings.largest + 1)
+    return [{"key": f"{noise_on}-{runs}-{seed}-{level}", "level": level} | asked for level in levels]
+
+
+def _sweep(done: Swept) -> list[SweepRow]:
+    demand_all(done.rows)
+    return [SweepRow(**row) for level in done.rows for row in level.rows or ()]
+
+
+def sweep_tables(done: Swept) -> list[Table]:
+    """The first and the last level."""
+    return [_level_table(_sweep(done), level) for level in sorted({1, done.settings.largest})]
+
+
+def _level_table(rows: Sequence[SweepRow], level: int) -> Table:
+    """One noise level of the sweep."""
+    shown = [r for r in rows if r.level == level]
+    first = shown[0]
+    title = (
+        f"d = {level}, noise on {first.noise_on}, {first.runs} runs; Cramér-Rao bound "
+        f"{first.bound_rotation_deg:.4f} deg {first.bound_translation_mm:.3f} mm"
+    )
+    columns: Columns = {
+        "method": "{method}",
+        "deg": "{rotation_deg:.4f}",
+        "mm": "{translation_mm:.3f}",
+        "deg / bound": "{rotation_over_bound:.2f}",
+        "mm / bound": "{translation_over_bound:.2f}",
+        "NEES": "{nees:.2f}",
+        "least eigenvalue": "{least_eigenvalue:.1e}",
+        "failed": "{failed}",
+    }
+    return listed(title, columns, shown)
+
+
+def sweep_verdict(done: Swept) -> list[Check]:
+    """What is asked of the sweep (Fig. 7)."""
+    rows, runs = _sweep(done), done.request.runs
+    failed = sum(r.failed for r in rows)
+    checks = [Check("runs that failed", str(failed), "0", failed == 0)]
+    eigenvalues = [r.least_eigenvalue for r in rows if r.least_eigenvalue is not None]
+    if eigenvalues:
+        least = min(eigenvalues)
+        checks.append(Check("certificate, the worst run", f"{least:.1e}", "≥ -1e-9", least >= -1e-9))
+    return checks if runs < _ENOUGH else [*checks, *_checks_by_bound(rows, done.settings.noise_on, runs)]
+
+
+def _checks_by_bound(rows: Sequence[SweepRow], noise_on: NoiseOn, runs: int) -> list[Check]:
+    """The best method against the Cramér-Rao bound, its own covariance and DQCR."""
+    best = Method.MAXIMUM_LIKELIHOOD if noise_on is NoiseOn.CAMERA_MOTIONS else Method.ROBUST
+    mine = [r for r in rows if r.method == best.value]
+    rotation, translation = (
+        float(np.sqrt(np.mean([getattr(r, name) ** 2 for r in mine])))
+        for name in ("rotation_over_bound", "translation_over_bound")
+    )
+    worst = max(max(r.rotation_over_bound, r.translation_over_bound) for r in mine)
+    limit = 1.1 if noise_on is NoiseOn.CAMERA_POSES else 1.2
+    checks = [
+        Check(
+            f"{best} over the bound, all levels (a level's own figure is sure to about"
+            f" {100.0 / np.sqrt(2.0 * runs):.0f} %)",
+            f"{rotation:.3f} in rotation, {translation:.3f} in translation; the worst level {worst:.3f}",
+            f"≤ {limit:g}",
+            max(rotation, translation) <= limit,
+        )
+    ]
+    nees = [r.nees for r in mine if r.nees is not None]
+    if nees:
+        text = f"{min(nees):.2f} … {max(nees):.2f}"
+        checks.append(Check("its mean NEES", text, "5 … 7", min(nees) >= 5.0 and max(nees) <= 7.0))
+    if noise_on is NoiseOn.CAMERA_POSES:
+        dqcr = {r.level: r.rotation_deg for r in rows if r.method == Method.DQCR.value}
+        ratio = min(dqcr[r.level] / r.rotation_deg for r in mine)
+        checks.append(Check("times below DQCR in rotation", f"{ratio:.2f}", "≥ 5", ratio >= 5.0))
+    return checks
+
+
+def sweep_plot(rows: Sequence[SweepRow]) -> Figure:
+    """Fig. 7 as a picture: rotation and translation error of each method over d, with the bound."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    for axes, unit, value, bound in (
+        (figure.add_subplot(1, 2, 1), "rotation / deg", "rotation_deg", "bound_rotation_deg"),
+        (figure.add_subplot(1, 2, 2), "translation / mm", "translation_mm", "bound_translation_mm"),
+    ):
+        for method in dict.fromkeys(r.method for r in rows):
+            mine = [r for r in rows if r.method == method]
+            colour = _HIGHLIGHTED.get(method)
+            style: dict[str, Any] = {"color": colour or "0.75", "lw": 2.0 if colour else 0.8}
+            label = method if colour else None
+            axes.plot([r.level for r in mine], [getattr(r, value) for r in mine], label=label, **style)
+        first = [r for r in rows if r.method == rows[0].method]
+        levels = [r.level for r in first]
+        axes.plot(levels, [getattr(r, bound) for r in first], "k--", lw=1.0, label="Cramér-Rao bound")
+        axes.set(xlabel="noise level d", ylabel=f"rms error of X, {unit}", yscale="log")
+        axes.grid(alpha=0.3, which="both")
+    figure.axes[0].legend(frameon=False, fontsize=8)
+    figure.suptitle(f"Hua et al. 2024, Fig. 7: noise on {rows[0].noise_on}; grey: the other methods")
+    return figure
+
+
+NOISE = Experiment(
+    name="hua-noise",
+    title="Errors of X as noise grows, beside the Cramér-Rao bound.",
+    settings=NoiseSettings,
+    row=NoiseLevel,
+    tasks=sweep_tasks,
+    run=level_of,
+    table=sweep_tables,
+    verdict=sweep_verdict,
+    plot=lambda done: {"hua-fig7": sweep_plot(_sweep(done))},
+    figures=lambda done: {"rows": _sweep(done)},
+    runs=200,
+    world="poses of the paper's Table 1",
+    eyes="none: poses with noise",
+    configured=False,
+)
+
+
+def localisation_tasks(request: CampaignRequest, settings: LocalisationSettings) -> list[Task]:
+    """One task a calibration."""
+    seed, repetitions = request.seed, settings.repetitions
+    asked = {"repetitions": repetitions, "seed": seed}
+    return [{"key": f"{seed}-{repetitions}-{run}", "run": run} | asked for run in range(request.runs)]
+
+
+def _localised(done: Located) -> list[LocalisationRow]:
+    demand_all(done.rows)
+    return list(localisation.rows_of([localisation.entries_of(row.entries or []) for row in done.rows]))
+
+
+def localisation_verdict(done: Located) -> list[Check]:
+    """The robust solver, bad samples included, locates better than the paper's best (Fig. 5, 6)."""
+    everything = {(r.method, r.samples): r for r in _localised(done) if r.task == "all"}
+    robust = everything.get((Method.ROBUST.value, f"all {localisation.TAKEN}"))
+    dqcr = everything[(Method.DQCR.value, f"{localisation.KEPT} kept by hand")]
+    return [
+        Check(
+            "robust on all samples, against DQCR on those kept by hand",
+            "failed" if robust is None else f"{robust.error_mm:.2f} mm",
+            f"< {dqcr.error_mm:.2f} mm",
+            robust is not None and robust.failed == 0 and robust.error_mm < dqcr.error_mm,
+        )
+    ]
+
+
+def localisation_table(rows: Iterable[LocalisationRow]) -> Table:
+    """Fig. 5 and 6: all tasks together."""
+    columns: Columns = {
+        "method": "{method}",
+        "samples": "{samples}",
+        "mm": "{error_mm:.2f}",
+        "5 % … 95 %": "{lowest_mm:.2f} … {highest_mm:.2f}",
+        "by X alone": "{from_calibration_mm:.2f}",
+        "paper mm": "{paper_mm:.1f}",
+        "within 3 mm": "{recognised_percent:.0f} %",
+        "paper": "{paper_recognised_percent:.0f} %",
+        "failed": "{failed}",
+    }
+    return listed("localisation of knob, switch and key hole", columns, (r for r in rows if r.task == "all"))
+
+
+def localisation_plot(rows: Sequence[LocalisationRow]) -> Figure:
+    """Fig. 5 and 6 as a picture: error with its interval, share within 3 mm; the paper's figures as dots."""
+    mine = [r for r in rows if r.task == "all" and r.error_mm < 12.0]
+    names = [f"{r.method}\n{r.samples}" for r in mine]
+    x = np.arange(len(mine))
+    colours = [_HIGHLIGHTED.get(r.method, "0.75") for r in mine]
+    figure = Figure(figsize=(12.0, 5.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    errors = np.array([[r.error_mm - r.lowest_mm, r.highest_mm - r.error_mm] for r in mine]).T
+    left.bar(x, [r.error_mm for r in mine], yerr=np.maximum(errors, 0.0), color=colours, capsize=2)
+    left.plot(x, [math.nan if r.paper_mm is None else r.paper_mm for r in mine], "ko", label="paper, Fig. 5")
+    left.set_ylabel("localisation error / mm")
+    right.bar(x, [r.recognised_percent for r in mine], color=colours)
+    recognised = [
+        math.nan if r.paper_recognised_percent is None else r.paper_recognised_percent for r in mine
+    ]
+    right.plot(x, recognised, "ko", label="paper, Fig. 6")
+    right.set_ylabel("within 3 mm / %")
+    for axes in (left, right):
+        axes.set_xticks(x, names, rotation=90, fontsize=7)
+        axes.legend(frameon=False)
+        axes.grid(alpha=0.3, axis="y")
+    return figure
+
+
+LOCALISATION = Experiment(
+    name="hua-localisation",
+    title="Localisation of knob, switch and key hole with every method.",
+    settings=LocalisationSettings,
+    row=LocalisedRun,
+    tasks=localisation_tasks,
+    run=localisation.calibration_row,
+    table=lambda done: [localisation_table(_localised(done))],
+    verdict=localisation_verdict,
+    plot=lambda done: {"hua-fig5": localisation_plot(_localised(done))},
+    figures=lambda done: {"rows": _localised(done)},
+    runs=50,
+    world="poses of the paper's Table 1, with 5 bad samples of 17",
+    eyes="none: poses with noise",
+    configured=False,
+)

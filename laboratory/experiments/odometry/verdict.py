@@ -1,0 +1,202 @@
+"""What the odometry matrix's rows are, and what they say: a line a kind, and the verdict over all."""
+
+from collections.abc import Collection
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from laboratory.campaigns.experiment import Check, Finished, at_least, at_most, inside
+from laboratory.experiments.odometry.judging import FREEDOM
+from laboratory.experiments.odometry.open_worlds import OPEN_KINDS
+from laboratory.experiments.odometry.real_sequences import REAL_KINDS
+from laboratory.experiments.odometry.sequences import KINDS
+from testbed.reporting.console import table
+
+NEES_BAND = (0.7, 1.5)
+LEAST_LOCATED = 0.95
+_NAN = float("nan")
+
+
+class MatrixSettings(NamedTuple):
+    """Which kinds, how long, whether beside the peer, and whether real pictures too."""
+
+    kind: Annotated[list[str], typer.Option(help="Only these kinds; may be given again.")] = []  # noqa: RUF012
+    pairs: Annotated[int, typer.Option(help="Pairs of a sequence, over 1.1 m.", min=12, max=600)] = 40
+    peer: Annotated[bool, typer.Option(help="ORB-SLAM3 on the same pictures, where it is installed.")] = True
+    real: Annotated[bool, typer.Option(help="Real pictures too, where LONGREACH_DATA has them.")] = True
+
+
+class MatrixRow(NamedTuple):
+    """One sequence. ``wrong``: pairs located, but off by more than three standard deviations and a floor.
+
+    ``gross``: off by more than 30 mm, whatever was told. ``nees`` the mean error² over variance; ``peer_``
+    of ORB-SLAM3.
+    """
+
+    kind: str
+    seed: int
+    pairs: int
+    located: int
+    maps: int
+    losses: str
+    ate_mm: float
+    worst_mm: float
+    told_mm: float
+    wrong: int
+    gross: int
+    nees: float
+    ms: float
+    peer_located: float
+    peer_ate_mm: float
+    peer_worst_mm: float
+    peer_gross: float
+    peer_ms: float
+    failure: str = ""
+    cpu_s: float = _NAN
+
+
+Rows = Finished[MatrixSettings, MatrixRow]
+
+
+def _mean(rows: list[MatrixRow], column: str) -> float:
+    values = [float(getattr(row, column)) for row in rows]
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else _NAN
+
+
+def _middle(rows: list[MatrixRow], column: str) -> float:
+    known = [value for row in rows if np.isfinite(value := float(getattr(row, column)))]
+    return float(np.median(known)) if known else _NAN
+
+
+def matrix_table(done: Rows) -> list[Table]:
+    """A line a kind, over its seeds: medians, but worst errors, counts of pairs, and mean NEES."""
+    heads = ["kind", "located", "ATE mm", "worst mm", "σ told mm", "wrong", "NEES/6", "ms a pair"]
+    heads += [f"ORB-SLAM3: {name}" for name in ("located", "ATE mm", "worst mm", "> 30 mm", "ms")]
+    made = [table("odometry of recordings", heads, [_line(*one) for one in _by_kind(done, KINDS)])]
+    if opened := [_line(*one) for one in _by_kind(done, OPEN_KINDS)]:
+        made.append(table("roads and rooms, rendered", heads, opened))
+    if real := [_line(*one) for one in _by_kind(done, REAL_KINDS)]:
+        made.append(table("real pictures, against a camera at rest", heads, real))
+    return made
+
+
+def _line(name: str, rows: list[MatrixRow]) -> list[str]:
+    pairs = sum(row.pairs for row in rows)
+    peers = [row for row in rows if np.isfinite(row.peer_located)]
+    seen = sum(row.pairs for row in peers)
+    return [
+        _words(name),
+        f"{sum(row.located for row in rows) / pairs:.0%}",
+        _number(_middle(rows, "ate_mm")),
+        _number(max(row.worst_mm for row in rows)),
+        _number(_middle(rows, "told_mm")),
+        str(sum(row.wrong for row in rows)),
+        _number(_mean(rows, "nees") / FREEDOM),
+        _number(_middle(rows, "ms"), 0),
+        f"{sum(row.peer_located for row in peers) / seen:.0%}" if seen else "",
+        _number(_middle(peers, "peer_ate_mm")),
+        _number(max((row.peer_worst_mm for row in peers), default=_NAN)),
+        f"{sum(row.peer_gross for row in peers):.0f}" if seen else "",
+        _number(_middle(peers, "peer_ms"), 0),
+    ]
+
+
+def _words(name: str) -> str:
+    if name in OPEN_KINDS:
+        return OPEN_KINDS[name].words
+    return (REAL_KINDS if name in REAL_KINDS else KINDS)[name].words
+
+
+def _number(value: float, digits: int = 2) -> str:
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+
+
+def _by_kind(done: Rows, of: Collection[str]) -> list[tuple[str, list[MatrixRow]]]:
+    kinds = {name: [row for row in done.rows if row.kind == name and not row.failure] for name in of}
+    return [(name, rows) for name, rows in kinds.items() if rows]
+
+
+def matrix_verdict(done: Rows) -> list[Check]:
+    """Nothing wrong and not told; what cannot be used is refused; errors are as large as told."""
+    kinds = dict(_by_kind(done, KINDS))
+    usable = [row for name, rows in kinds.items() for row in rows if not KINDS[name].refused]
+    useless = [row for name, rows in kinds.items() for row in rows if KINDS[name].refused]
+    pairs = sum(row.pairs for row in usable)
+    checks = [at_most("runs that failed", sum(bool(row.failure) for row in done.rows), 0.0)]
+    if usable:
+        checks += [
+            at_most(f"wrong and not told, of {pairs} pairs", sum(row.wrong for row in usable), 0.0),
+            inside("error² / variance told, over the kinds", _nees(usable), NEES_BAND),
+        ]
+    if useless:
+        located = sum(row.located for row in useless)
+        checks.append(at_most("pairs located that nobody can locate", located, 0.0))
+    if still := kinds.get("still_wall"):
+        checks.append(
+            at_most("ATE on the still wall, calibration exact", _middle(still, "ate_mm"), 0.1, "mm")
+        )
+    return checks + _beside(usable) + _open(done) + _real(done)
+
+
+def _open(done: Rows) -> list[Check]:
+    """The same of roads and rooms, where they were asked for; ATE beside the peer's where that ran."""
+    rows = [row for _, rows in _by_kind(done, OPEN_KINDS) for row in rows]
+    if not rows:
+        return []
+    pairs = sum(row.pairs for row in rows)
+    checks = [
+        at_most(
+            f"roads and rooms: wrong and not told, of {pairs} pairs", sum(row.wrong for row in rows), 0.0
+        ),
+        at_least("roads and rooms: located", sum(row.located for row in rows) / pairs, LEAST_LOCATED),
+        inside("roads and rooms: error² / variance told", _nees(rows), NEES_BAND),
+    ]
+    if known := [row for row in rows if row.ate_mm > 0.0 and row.peer_ate_mm > 0.0]:
+        ratio = float(np.median([row.ate_mm / row.peer_ate_mm for row in known]))
+        checks.append(at_most("roads and rooms: ATE over ORB-SLAM3's, median", ratio, 1.0))
+    return checks
+
+
+def _beside(rows: list[MatrixRow]) -> list[Check]:
+    """Gross errors of ours and of the peer, where it ran."""
+    known = [row for row in rows if np.isfinite(row.peer_gross)]
+    words = ("off by more than 30 mm", "pairs")
+    return [
+        at_most(f"{words[0]}: Longreach", sum(row.gross for row in known), None, words[1]),
+        at_most(f"{words[0]}: ORB-SLAM3", sum(row.peer_gross for row in known), None, words[1]),
+    ] if known else []  # fmt: skip
+
+
+def _real(done: Rows) -> list[Check]:
+    """The same of real pictures, where there were any."""
+    kinds = _by_kind(done, REAL_KINDS)
+    if not kinds:
+        return []
+    usable = [row for name, rows in kinds for row in rows if not REAL_KINDS[name].refused]
+    useless = [row for name, rows in kinds for row in rows if REAL_KINDS[name].refused]
+    pairs = sum(row.pairs for row in usable)
+    checks = [at_most(f"real: wrong and not told, of {pairs} pairs", sum(row.wrong for row in usable), 0.0)]
+    if useless:
+        found = sum(row.located for row in useless)
+        checks.append(at_most("real: pairs located that nobody can locate", found, 0.0))
+    checks.append(Check("real: pairs located", str(sum(row.located for row in usable)), "", None))
+    if known := [row for row in usable if np.isfinite(row.peer_located)]:
+        peers = f"{sum(row.peer_located for row in known):.0f}, {sum(row.peer_gross for row in known):.0f} of"
+        checks.append(Check("real: pairs located by ORB-SLAM3", f"{peers} them 30 mm off", "", None))
+    return checks
+
+
+def _nees(rows: list[MatrixRow]) -> float:
+    """Relative to its expectation; every kind weighs alike. NaN where every pair was lost."""
+    kinds = sorted({row.kind for row in rows})
+    means = [_mean([row for row in rows if row.kind == kind], "nees") for kind in kinds]
+    known = [value for value in means if np.isfinite(value)]
+    return float(np.mean(known)) / FREEDOM if known else _NAN
+
+
+def matrix_figures(done: Rows) -> dict[str, Any]:
+    """NEES over its expectation by kind."""
+    return {"nees": {name: _mean(rows, "nees") / FREEDOM for name, rows in _by_kind(done, KINDS)}}

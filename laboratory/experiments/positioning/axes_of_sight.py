@@ -1,0 +1,231 @@
+"""What differs from one camera, scene and set of markers to the next, each as an axis (see ``axes``)."""
+
+import numpy as np
+
+from laboratory.experiments.positioning.axes import JSON, axis, factor
+from testbed.scenarios.settings import Settings
+
+# ---- the camera
+
+
+@axis(
+    "disparity ±3.5 px, rows ±1 px",
+    "[S] zed-sdk 44: a ZED from the factory showed 25 m as 12 m: 3.5 px; [E] rows",
+)
+def rectification(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What the maker's calibration leaves."""
+    drawn = {"disparity_px": rng.uniform(-3.5, 3.5), "vertical_px": rng.uniform(-1.0, 1.0)}
+    return {"scene": {"camera": {"rectification": drawn}}}
+
+
+@axis("baseline ±0.6 %, focal length ±0.3 %, k1 ±0.006", "[S] the study's scale of ±0.6 %; [E] the lens")
+def lens(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """Scale and residual distortion, alike in both eyes."""
+    focal = 530.0 * (1.0 + rng.uniform(-0.003, 0.003))
+    drawn = {
+        "baseline_m": 0.12 * (1.0 + rng.uniform(-0.006, 0.006)),
+        "lens": {"fx_px": focal, "fy_px": focal, "k1": rng.uniform(-0.006, 0.006)},
+    }
+    return {"scene": {"camera": drawn}}
+
+
+@axis("noise 4 grey levels, the wall's contrast 12; not drawn", "[E] poor light, a smooth wall")
+def poor_light(_rng: np.random.Generator, _usual: Settings) -> JSON:
+    """Pictures in which odometry drifts."""
+    return {"scene": {"camera": {"noise_grey": 4.0}, "wall": {"contrast_grey": 12.0}}}
+
+
+@axis(
+    "noise 2 to 5 grey levels, blur 0.5 to 1.0 px, exposure ×0.6 to 1.6, contrast 10 to 25",
+    "[E] of a ZED 2 in a hall and outdoors",
+)
+def light(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What light and focus make of pictures; without pictures, the eye model's condition stands for it."""
+    camera = {
+        "noise_grey": rng.uniform(2.0, 5.0),
+        "blur_px": rng.uniform(0.5, 1.0),
+        "exposure_gain": factor(rng, 1.6),
+    }
+    return {"scene": {"camera": camera, "wall": {"contrast_grey": rng.uniform(10.0, 25.0)}}}
+
+
+@axis("15.7 µs a row, 11.3 ms in all; not drawn", "[S] Stereolabs support: the ZED 2 at 720p and 60 Hz")
+def rolling_shutter(_rng: np.random.Generator, _usual: Settings) -> JSON:
+    """The ZED 2's readout."""
+    return {"scene": {"camera": {"shutter": {"kind": "rolling", "mode_hz": 60}}}}
+
+
+@axis("0 to 8 mm over 0.5 to 2 m", "[E] shotcrete and rough concrete")
+def uneven_wall(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """How far the wall rises and falls about its plane."""
+    wall = {"undulation_mm": rng.uniform(0.0, 8.0), "undulation_length_m": rng.uniform(0.5, 2.0)}
+    return {"scene": {"wall": wall}}
+
+
+@axis(
+    "focal lengths ±0.3 px, k1 ±0.0015, k2 ±0.0005, p1 and p2 ±0.0002, right eye against left",
+    "[E] two eyes rectified one by one",
+)
+def two_lenses(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What the right eye's lens has more than the left's."""
+    wide = {"fx_px": 0.3, "fy_px": 0.3, "k1": 0.0015, "k2": 0.0005, "p1": 0.0002, "p2": 0.0002}
+    drawn = {name: rng.uniform(-most, most) for name, most in wide.items()}
+    return {"scene": {"camera": {"lens_difference": drawn}}}
+
+
+@axis(
+    "disparity 0.05 to 0.3 px, rows 0.05 to 0.2 px rms, within 5 to 15 minutes",
+    "[E] heat moves low-cost stereo cameras by a few parts in a thousand of a pixel a second",
+)
+def drift(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """How the rectification wanders as the camera warms."""
+    drawn = {
+        "disparity_px": rng.uniform(0.05, 0.3),
+        "vertical_px": rng.uniform(0.05, 0.2),
+        "time_constant_s": rng.uniform(300.0, 900.0),
+    }
+    return {"scene": {"camera": {"drift": drawn}}}
+
+
+@axis("−10 to 20 ms late, jitter 0.5 to 3 ms rms", "[E] a camera stamped by a host that is not real-time")
+def stamps(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What is wrong with the times that are told of pictures."""
+    drawn = {"delay_ms": rng.uniform(-10.0, 20.0), "jitter_ms": rng.uniform(0.5, 3.0)}
+    return {"scene": {"camera": {"stamps": drawn}}}
+
+
+# ---- light and surroundings
+
+
+@axis(
+    "auto exposure to 90 to 130 grey levels within 0.15 to 0.6 s, gamma 0.45 to 1, up to 3 smears an eye",
+    "[S] sRGB's curve is about 0.45; [E] the rest",
+)
+def exposure(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What the camera makes of light by itself, and what sticks to its glass."""
+    smears = [
+        {
+            "eye": eye,
+            "centre_px": [rng.uniform(0.0, 1280.0), rng.uniform(0.0, 720.0)],
+            "radius_px": rng.uniform(30.0, 150.0),
+            "transmission": rng.uniform(0.6, 0.95),
+            "scatter_grey": rng.uniform(0.0, 15.0),
+        }
+        for eye in ("left", "right")
+        for _ in range(rng.integers(0, 4))
+    ]
+    servo = {
+        "enabled": True,
+        "mean_grey": rng.uniform(90.0, 130.0),
+        "time_constant_s": rng.uniform(0.15, 0.6),
+    }
+    curve = {"response_gamma": rng.uniform(0.45, 1.0)}
+    return {"scene": {"camera": {"auto_exposure": servo, "dirt": smears} | curve}}
+
+
+@axis(
+    "30 to 150 grey levels, 15 to 40 mm wide; a lamp above, to one side",
+    "[E] a work light on a laminated print",
+)
+def glare(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """The highlight of a lamp on the markers' plates."""
+    lamp = rng.uniform([-1.0, 0.2, 1.5], [1.0, 1.2, 3.0]).tolist()
+    shine = {"strength_grey": rng.uniform(30.0, 150.0), "width_m": rng.uniform(0.015, 0.04)}
+    return {"scene": {"lighting": {"glare": shine | {"lamp_m": lamp}}}}
+
+
+@axis(
+    "0.35 to 0.8 of the light left, 0.02 to 0.5 m/s, penumbra 5 to 60 mm, any direction",
+    "[E] a boom, a person, a cloud's edge",
+)
+def moving_shadow(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """The edge of a shade that wanders over the scene."""
+    shade = {
+        "factor": rng.uniform(0.35, 0.8),
+        "direction_deg": rng.uniform(-180.0, 180.0),
+        "start_m": rng.uniform(-1.5, 0.0),
+        "speed_m_s": rng.uniform(0.02, 0.5),
+        "penumbra_m": rng.uniform(0.005, 0.06),
+    }
+    return {"scene": {"lighting": {"shadow": shade}}}
+
+
+@axis(
+    "2 to 4 blocks of 0.3 to 0.9 m that stand out by 30 to 200 mm, 1 to 3 patches of 0.15 to 0.5 m with "
+    "0.05 to 0.4 of the contrast, beside the object",
+    "[E] shotcrete, boulders, formwork",
+)
+def broken_wall(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """Depth steps and bare patches of the wall."""
+    blocks, patches = [], []
+    for number in range(rng.integers(2, 5)):
+        size = rng.uniform(0.3, 0.9, 2)
+        blocks.append(
+            {
+                "centre_m": _beside(rng, 0.5 * float(np.hypot(*size))),
+                "size_m": size.tolist(),
+                "depth_m": rng.uniform(0.03, 0.2),
+                "texture_seed": number + 1,
+            }
+        )
+    for _ in range(rng.integers(1, 4)):
+        radius = rng.uniform(0.15, 0.5)
+        patches.append(
+            {"centre_m": _beside(rng, radius), "radius_m": radius, "contrast": rng.uniform(0.05, 0.4)}
+        )
+    return {"scene": {"wall": {"blocks": blocks, "bare_patches": patches}}}
+
+
+_OBJECT_REACH_M = 0.34  # from the middle to the corner of the farthest marker's quiet zone, and a little
+
+
+def _beside(rng: np.random.Generator, size_m: float) -> list[float]:
+    """A centre (2,) on the wall from where something of that size leaves the object's markers free."""
+    away = _OBJECT_REACH_M + size_m + rng.uniform(0.0, 0.8)
+    towards = rng.uniform(0.0, 2.0 * np.pi)
+    return [away * float(np.cos(towards)), away * float(np.sin(towards))]
+
+
+@axis(
+    "0.5 by 1.8 m, 0.5 to 1.5 m/s, every 15 to 60 s, 0.1 to 0.5 m before the wall, above or below the object",
+    "[E] people and machines at work",
+)
+def passers(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """Something large that crosses, and hides no marker of the object."""
+    side = rng.choice([-1.0, 1.0])
+    way = rng.choice([-1.0, 1.0])
+    height = side * (0.9 + _OBJECT_REACH_M + rng.uniform(0.0, 0.5))
+    passer = {
+        "start_m": [-3.0 * way, height, rng.uniform(0.1, 0.5)],
+        "velocity_m_s": [way * rng.uniform(0.5, 1.5), 0.0, 0.0],
+        "period_s": rng.uniform(15.0, 60.0),
+    }
+    return {"scene": {"passers": [passer]}}
+
+
+# ---- the markers
+
+
+@axis("±0.3 %", "[E] a copier's scale")
+def tool_print(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """The printed size of the tool's marker."""
+    return {"scene": {"tool_marker": {"print_scale_error": rng.uniform(-0.003, 0.003)}}}
+
+
+@axis(
+    "places ±1 mm, turned by up to 0.5°, prints ±0.3 %, plates bent by up to 0.5 mm",
+    "[E] a tape measure, a hand, a copier, a sheet of plastic",
+)
+def object_markers(rng: np.random.Generator, usual: Settings) -> JSON:
+    """Where the object's markers are, and how large."""
+    drawn = []
+    for marker in usual.scene.object_of_interest.markers:
+        off: JSON = {
+            "misplaced_m": rng.uniform(-0.001, 0.001, 3).tolist(),
+            "misplaced_deg": rng.uniform(-0.3, 0.3, 3).tolist(),
+            "print_scale_error": rng.uniform(-0.003, 0.003),
+            "bend_m": rng.uniform(-0.0005, 0.0005),
+            "bend_direction_deg": rng.uniform(-90.0, 90.0),
+        }
+        drawn.append(marker.model_dump(mode="json") | off)
+    return {"scene": {"object_of_interest": {"markers": drawn}}}

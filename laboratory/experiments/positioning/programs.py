@@ -1,0 +1,161 @@
+"""`longreach experiment positioning --method programs`: demonstrations, or any programs, over many seeds."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from foundation.configuration import merged, parse_overrides
+from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, seeds
+from laboratory.campaigns.options import Assignments, Scenario
+from laboratory.campaigns.provenance import sources_hash
+from laboratory.experiments.positioning.results import quantile, share
+from plant_emulator.shell.installed_faults import installed_faults
+from testbed.demonstration.lockstep import run_lockstep
+from testbed.reporting.console import bars, table
+from testbed.reporting.outcome import Outcome
+from testbed.reporting.presentation import Choice
+from testbed.scenarios.named_requests import fault_orders, named_request
+from testbed.scenarios.scenario import load_scenario
+from testbed.scenarios.settings import load_settings
+from vision_pc.core.se3 import Array
+from vision_pc.shell.installed_programs import installed_programs
+
+LIMITS_MM = (10.0, 5.0)
+WANTED_SHARE = 0.9  # of the runs, under LIMITS_MM[0] after the last look
+
+
+def row_of(outcome: Outcome, world: dict[str, Any]) -> dict[str, Any]:
+    """One run as a flat row: what was drawn, true errors after each look, and what stopped it."""
+    stages = [outcome.after_look(number) for number in range(1, outcome.looks + 1)]
+    true_mm = [(1e3 * stage.true.p_m).tolist() for stage in stages if stage is not None]
+    mount = world.get("scene", {}).get("mount", {}).get("rotation_deg", (0.0, 0.0, 0.0))
+    return {
+        "seed": outcome.seed,
+        "payload_kg": world.get("plant", {}).get("payload", {}).get("mass_kg", math.nan),
+        "mount_deg": float(np.linalg.norm(mount)),
+        "true_mm": true_mm,
+        "failure": outcome.details.get("failure", ""),
+        "simulated_s": outcome.simulated_s,
+        "event_log_sha256": outcome.details["event_log_sha256"],
+    }
+
+
+def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """The row of one seeded demonstration; ``task`` names its scenario, seed, looks and assignments."""
+    scenario, seed = task["scenario"], task["seed"]
+    world = merged(load_scenario(config_dir, scenario).world(seed), parse_overrides(task["assignments"]))
+    programs = tuple(named_request(word) for word in task.get("program", ()))
+    choice = Choice(scenario, seed, task["looks"], False, programs, fault_orders(task.get("fault", ())))
+    with bars(quiet=True) as shown:
+        done = run_lockstep(config_dir, world, choice, shown)
+    return row_of(done.outcome, world)
+
+
+class ProgramsSettings(NamedTuple):
+    """What is run."""
+
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
+    scenario: Scenario = "standard"
+    assignments: Assignments = None
+    program: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[,KEY=VALUE]",
+            help="Run this program, of ours or of an installed package, in place of calibration and looks; "
+            "repeatable.",
+        ),
+    ] = None
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KIND[,KEY=VALUE]", help="Break this at the start; repeatable."),
+    ] = None
+
+    @property
+    def ends(self) -> int:
+        """How many ends of a run count: one of programs, else one a look."""
+        return 1 if self.program else self.looks
+
+
+class ProgramsRow(NamedTuple):
+    """One run; ``true_mm``: the true error after each look that was reached."""
+
+    seed: int
+    payload_kg: float
+    mount_deg: float
+    true_mm: list[list[float]]
+    failure: str
+    cpu_s: float
+
+    def worst_mm(self, look: int) -> float:
+        """The greater of |x| and |y| after look 1, 2, …; NaN where the run did not get there."""
+        reached = len(self.true_mm or ()) >= look
+        return float(np.abs(self.true_mm[look - 1][:2]).max()) if reached else math.nan
+
+
+Ran = Finished[ProgramsSettings, ProgramsRow]
+
+
+def programs_tasks(request: CampaignRequest, settings: ProgramsSettings) -> list[Task]:
+    """One task a seed. Raises ConfigurationError when the first world's configuration is wrong."""
+    world = load_scenario(request.config_dir, settings.scenario).world(request.seed)
+    assignments = settings.assignments or []
+    load_settings(request.config_dir, merged(world, parse_overrides(assignments)))
+    asked = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments}
+    asked |= _own(settings)
+    return [{"key": f"seed-{seed}", "seed": seed} | asked for seed in seeds(request)]
+
+
+def _own(settings: ProgramsSettings) -> Task:
+    """What is run and broken, with the sources of whatever installed packages add to that."""
+    words = {"program": settings.program or [], "fault": settings.fault or []}
+    fault_orders(words["fault"])
+    names = {named_request(word).name for some in words.values() for word in some}
+    own = [(name, program.run.__module__) for name, program in installed_programs().found.items()]
+    own += [(name, kind.__module__) for name, kind in installed_faults().found.items()]
+    sources = {f"sources of {name}": sources_hash(module) for name, module in own if name in names}
+    return {name: some for name, some in words.items() if some} | sources
+
+
+def worst_after(rows: Sequence[ProgramsRow], look: int) -> Array:
+    """The greater of |x| and |y| (n,) after a look, mm; infinite where a run did not get there."""
+    worst: Array = np.nan_to_num(np.array([row.worst_mm(look) for row in rows]), nan=np.inf)
+    return worst
+
+
+def programs_table(done: Ran) -> list[Table]:
+    """How many runs ended under each limit after each look, and their errors."""
+    cells = []
+    for look in range(1, done.settings.ends + 1):
+        worst = worst_after(done.rows, look)
+        under = [int((worst < limit).sum()) for limit in LIMITS_MM]
+        figures = [f"{quantile(worst, percent):.2f}" for percent in (50, 95)]
+        cells.append([look, len(worst), *under, *figures, int(np.isinf(worst).sum())])
+    heads = ["look", "runs", *(f"under {limit:g} mm" for limit in LIMITS_MM), "median mm", "95 % mm"]
+    return [table("worse of true |x| and |y|", [*heads, "not reached"], cells)]
+
+
+def programs_verdict(done: Ran) -> list[Check]:
+    """Whether enough runs ended under the first limit after the last look."""
+    last = done.settings.ends
+    found = share(worst_after(done.rows, last), LIMITS_MM[0])
+    return [at_least(f"share under {LIMITS_MM[0]:g} mm after look {last}", found, WANTED_SHARE)]
+
+
+PROGRAMS = Experiment(
+    name="programs",
+    title="Demonstrations in lockstep over many seeds.",
+    settings=ProgramsSettings,
+    row=ProgramsRow,
+    tasks=programs_tasks,
+    run=one_run,
+    table=programs_table,
+    verdict=programs_verdict,
+    runs=20,
+    eyes="rendered pictures",
+)

@@ -1,0 +1,183 @@
+"""Drawn machines with a drawn motion each, and how they come to its end: controller and plant alone."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+import typer
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.settings import settings_from
+from foundation.configuration import merged, parse_overrides
+from laboratory.experiments.positioning import axes
+from laboratory.experiments.positioning.axes import Axis
+from laboratory.experiments.positioning.corrected_run import commissioned
+from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName
+from nominal_arm.commissioned import Commissioned, JointValve, ValveEdge
+from nominal_arm.description import JOINT_NAMES
+from plant_emulator.core.plant import Plant
+from protocol.errors import MeasurementFailed
+from protocol.faults import FaultCode, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import ReferencePose
+from testbed.lockstep.core_loop import ClosedLoop
+from testbed.reporting.console import table
+from testbed.scenarios.arms import arm_overrides
+from testbed.scenarios.settings import Settings, load_settings
+
+_STREAM = 0x72657374
+_FURTHEST_M, _NEAREST_M, _TURN_DEG = 0.3, 0.03, 8.0
+_TARGETS = 20
+_MOST_KG = 100.0
+VALVE_SETS = ("servo", "mobile")
+REAL = "real"  # mobile valves, and all else that the real worlds draw of a machine
+WORLD = "drawn targets within 0.3 m, 0 to 100 kg, friction ×0.6 to 1.7; mobile valves drawn"
+_OF_A_MACHINE: Mapping[str, tuple[Axis, ...]] = {
+    "servo": (axes.friction,),
+    "mobile": (axes.friction, axes.mobile_valves),
+    REAL: tuple(axis for axis in WORLDS[WorldName.REAL].axes if getattr(axes, axis.name, None) is axis),
+}
+
+MachineKinds = Annotated[
+    str, typer.Option("--machines", help="servo, mobile (valves), real (all of a machine), by commas.")
+]
+
+JSON = dict[str, Any]
+
+
+class MachineKind(NamedTuple):
+    """What rows of this package tell of a machine: ``arm``, set of ``valves``, ``law`` at rest, its load."""
+
+    arm: str
+    valves: str
+    law: str
+    mass_kg: float
+
+
+class DrawnMachine(NamedTuple):
+    """A machine (its settings) with a load, before its motion; ``rng`` draws the motion."""
+
+    settings: Settings
+    mass_kg: float
+    rng: np.random.Generator
+
+
+def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
+    """The machine of a task: ``seed``, ``arm``, ``valves``, ``parks``, and ``known``.
+
+    ``known``: what is believed of every deadband over what a commissioning would state of it. Mobile valves
+    are drawn about plant.yaml's and stated as commissioned; servo valves are as the data sheet says.
+    ``real``: mobile valves, and whatever else the real worlds draw of a machine, camera and wall apart.
+    """
+    rng = np.random.default_rng([task["seed"], _STREAM])
+    overrides = arm_overrides(config_dir, task["arm"])
+    usual = load_settings(config_dir, overrides)
+    mass_kg = rng.uniform(0.0, _MOST_KG)
+    own: JSON = {
+        "plant": {"payload": {"mass_kg": mass_kg}},
+        "controller": {"parking": {"enabled": task["parks"]}},
+    }
+    real = task["valves"] == REAL
+    for axis in _OF_A_MACHINE[task["valves"]]:
+        own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
+    asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
+    settings = load_settings(config_dir, asked)
+    if task["valves"] != "servo":
+        settings = commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
+    return DrawnMachine(_known(settings, task["known"]), mass_kg, rng)
+
+
+def _stream(seed: int, axis: Axis) -> np.random.Generator:
+    """A stream for each axis: one that is added changes no other."""
+    return np.random.default_rng([seed, _STREAM, crc32(axis.name.encode())])
+
+
+def _known(settings: Settings, share: float) -> Settings:
+    """``settings`` with ``share`` of every deadband that they state."""
+    if share == 1.0:
+        return settings
+    found: Commissioned | None = settings.controller.commissioned
+    valves = settings.controller.valves if found is None else found.valves
+    scaled = {name: _scaled(getattr(valves, name), share) for name in JOINT_NAMES}
+    valves = valves.model_copy(update=scaled)
+    update = {"valves": valves} if found is None else {
+        "commissioned": found.model_copy(update={"valves": valves})
+    }  # fmt: skip
+    return settings._replace(controller=settings.controller.model_copy(update=update))
+
+
+def _scaled(valve: JointValve, share: float) -> JointValve:
+    def edge(known: ValveEdge) -> ValveEdge:
+        deadband = known.deadband
+        spread = max(deadband.std, abs(share - 1.0) * deadband.value)  # what is off is told as such
+        number = deadband.model_copy(update={"value": share * deadband.value, "std": spread})
+        return known.model_copy(update={"deadband": number})
+
+    return valve.model_copy(update={"raising": edge(valve.raising), "lowering": edge(valve.lowering)})
+
+
+def arrived(machine: DrawnMachine, seed: int) -> ClosedLoop:
+    """The machine at the moment when the desired motion to a drawn target has ended.
+
+    Raises MeasurementFailed with the cause of the controller's fault, or ``rest.no_target``.
+    """
+    settings = machine.settings
+    loop = ClosedLoop(settings_from(settings.arm, settings.controller), Plant(settings.plant, seed))
+    loop.enable()
+    for pose in _targets(machine.rng, loop.view.X_BT):
+        if loop.refer(lambda i, pose=pose: ReferencePose(i, pose, 0.0)) is Reason.ACCEPTED:  # type: ignore[misc]
+            break
+    else:
+        raise MeasurementFailed("rest.no_target", f"none of {_TARGETS} drawn targets was accepted")
+    while not loop.view.motion_done:
+        stepped(loop)
+    return loop
+
+
+def _targets(rng: np.random.Generator, start: Pose) -> Iterator[Pose]:
+    """Poses about ``start``, drawn."""
+    w, x, y, z = start.q_wxyz
+    for _ in range(_TARGETS):
+        way = rng.normal(size=3)
+        way *= rng.uniform(_NEAREST_M, _FURTHEST_M) / np.linalg.norm(way)
+        turn = Rotation.from_rotvec(np.radians(rng.uniform(-_TURN_DEG, _TURN_DEG, 3)))
+        i, j, k, real = (float(part) for part in (turn * Rotation.from_quat([x, y, z, w])).as_quat())
+        px, py, pz = (float(part) for part in np.add(start.p_m, way))
+        yield Pose((px, py, pz), (real, i, j, k))
+
+
+def stepped(loop: ClosedLoop) -> None:
+    """Pass one cycle. Raises MeasurementFailed with the controller's fault."""
+    loop.step()
+    fault = loop.view.fault
+    if fault is not FaultCode.NONE:
+        raise MeasurementFailed(f"fault.{fault.name.lower()}", f"{1e-9 * loop.now_ns:.1f} s after the start")
+
+
+def left(loop: ClosedLoop) -> np.ndarray:
+    """What is left to the desired pose, by the encoders: joint-equivalent error (6,), rad."""
+    tool = tool_state(loop.settings.table, np.array(loop.view.q_meas))
+    return np.array(resolve(tool, loop.state.motion.desired, loop.settings.servo.gains).q_error)
+
+
+def machines(runs: int, first: int, kinds: str) -> Iterator[JSON]:
+    """``seed``, ``arm`` and ``valves`` of so many runs: every kind with both arms in turn.
+
+    Raises BadParameter for a kind that is not known.
+    """
+    sets = kinds.split(",")
+    for name in sets:
+        if name not in _OF_A_MACHINE:
+            raise typer.BadParameter(f"no machines '{name}'; known: {', '.join(_OF_A_MACHINE)}")
+    for k in range(runs):
+        yield {"seed": first + k, "arm": ARMS[k // len(sets) % 2], "valves": sets[k % len(sets)]}
+
+
+def broken_off(rows: Sequence[Any]) -> list[Table]:
+    """A table of the ``rows`` that failed, with their machines and why; none when none did."""
+    failed = [(row.seed, *row.machine[:2], row.failure[:90]) for row in rows if row.failure]
+    return [table("broken off", ("seed", "arm", "valves", "why"), failed)] if failed else []

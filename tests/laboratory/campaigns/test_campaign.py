@@ -1,0 +1,394 @@
+"""A campaign's rows: one a run, typed, resumed and not repeated, with failures told and never numbers."""
+
+import math
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import distributed
+import numpy as np
+import pytest
+
+from laboratory.campaigns import campaign, provenance, workforce
+from laboratory.campaigns.campaign import CampaignRequest, configuration_of, evidence_of
+from laboratory.campaigns.provenance import PACKAGES, imported_sources
+from laboratory.campaigns.rows import RowFile, cell
+from laboratory.campaigns.workforce import REACH_S
+from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
+
+pytestmark = pytest.mark.slow("campaigns start processes")
+
+
+def run_campaign(
+    directory: Path,
+    function: Any,
+    tasks: list[dict[str, Any]],
+    *,
+    scheduler: str | None,
+    title: str,
+    workers: int = 2,
+    fresh: bool = False,
+) -> list[dict[str, Any]]:
+    """The rows of a campaign."""
+    request = CampaignRequest(Path("configs"), directory, scheduler=scheduler, workers=workers, fresh=fresh)
+    return campaign.run_campaign(request, function, tasks, title).rows
+
+
+def measured(task: dict[str, Any]) -> dict[str, Any]:
+    """A run that tells which process did it, fails for odd numbers, and breaks or dies when told to."""
+    if task.get("odd"):
+        raise MeasurementFailed("measurement.object_not_seen", "seen in 0 of 10 pictures\nand no more")
+    if task.get("broken"):
+        raise ZeroDivisionError("a bug")
+    if task.get("dies"):
+        os._exit(1)
+    file = bytes([task["number"]])
+    return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
+
+
+def faults(_task: dict[str, Any]) -> dict[str, Any]:
+    """The page faults of pictures of 2 MiB that are made and dropped, one after the other."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(40):
+        np.ones(1 << 21, np.uint8)
+    return {"faults": resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before}
+
+
+class Finalised:
+    """Gets Ctrl-C where Python swallows what is raised."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+
+def swallowing(task: dict[str, Any]) -> dict[str, Any]:
+    if task["number"] == 1:
+        Finalised()
+    return {}
+
+
+def held_once(place: str, task: dict[str, Any]) -> dict[str, Any]:
+    """Run number 1 says at its first time which process it is in, and waits there to be killed."""
+    told = Path(place)
+    if task["number"] == 1 and not told.exists():
+        begun = told.with_suffix(".begun")
+        begun.write_text(str(os.getpid()))
+        begun.rename(told)
+        time.sleep(600.0)
+    return {"process": os.getpid()}
+
+
+def kill_who_tells(place: Path) -> int:
+    """Kill the process that is named in ``place``, once it is there; its number."""
+    for _ in range(1200):
+        if place.exists():
+            process = int(place.read_text())
+            os.kill(process, signal.SIGKILL)
+            return process
+        time.sleep(0.1)
+    raise TimeoutError(f"{place} was not written")
+
+
+def resigning(task: dict[str, Any]) -> dict[str, Any]:
+    """A run during which its worker leaves the cluster for good."""
+    worker = distributed.get_worker()
+    worker.loop.add_callback(worker.close)
+    time.sleep(1.0)
+    return {}
+
+
+def scaled(factor: float, task: dict[str, Any]) -> dict[str, Any]:
+    return {"value": factor * task["number"]}
+
+
+def tasks(count: int, **more: Any) -> list[dict[str, Any]]:
+    return [{"key": f"run-{n}", "number": n, "odd": n % 2 == 1} | more for n in range(count)]
+
+
+def test_a_campaign_runs_in_processes_of_its_own_resumes_and_tells_failures(tmp_path: Path) -> None:
+    rows = run_campaign(tmp_path, measured, tasks(4), scheduler=None, title="four")
+    assert [row["key"] for row in rows] == ["run-0", "run-1", "run-2", "run-3"]
+    assert [row["twice"] for row in rows] == [0, None, 4, None]
+    assert rows[1]["failure"] == "measurement.object_not_seen: seen in 0 of 10 pictures\nand no more"
+    assert rows[0]["failure"] is None
+    assert rows[0]["nothing"] is None
+    assert (tmp_path / rows[2]["trace.bin"]).read_bytes() == b"\x02"
+    assert rows[0]["process"] != os.getpid()
+    assert all(row["run_s"] >= 0.0 and row["cpu_s"] >= 0.0 for row in rows)
+    assert sorted(RowFile(tmp_path / "rows.csv").rows, key=lambda row: row["key"]) == rows
+    # what is done is not done again, not even what failed: with the scheduler gone, nothing is asked of it
+    again = run_campaign(tmp_path, measured, tasks(4), scheduler="nonsense://x", title="four")
+    assert again == rows
+
+
+def test_a_lost_worker_and_a_bug_are_told_and_tried_again_when_resumed(tmp_path: Path) -> None:
+    broken = [{"key": "a", "number": 1, "broken": True}, {"key": "b", "number": 2, "dies": True}]
+    first, second = run_campaign(tmp_path, measured, broken, scheduler=None, title="broken", workers=1)
+    assert first["failure"] == "campaign.exception: ZeroDivisionError: a bug"
+    assert second["failure"].startswith("campaign.worker_lost: ")
+    with pytest.raises(ConfigurationError):  # so it would have been run
+        run_campaign(tmp_path, measured, broken, scheduler="nonsense://x", title="broken")
+
+
+@pytest.mark.experiment  # processes that are killed and start again: minutes on a busy machine
+def test_a_worker_that_is_killed_costs_no_row(tmp_path: Path) -> None:
+    place = tmp_path / "process"
+    asked = [{"key": f"run {number}", "number": number} for number in range(5)]
+    with ThreadPoolExecutor(1) as other:
+        killed = other.submit(kill_who_tells, place)
+        rows = run_campaign(
+            tmp_path / "rows", partial(held_once, str(place)), asked, scheduler=None, title="five"
+        )
+        victim = killed.result()
+    assert [row["key"] for row in rows] == [task["key"] for task in asked]
+    assert [row["failure"] for row in rows] == [None] * 5
+    assert rows[1]["process"] != victim
+    assert len((tmp_path / "rows" / "rows.csv").read_text().splitlines()) == 6  # none twice
+
+
+def test_an_existing_scheduler_does_the_runs(tmp_path: Path) -> None:
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
+        protocol="tcp", host="127.0.0.1",
+    ) as cluster:  # fmt: skip
+        address = cluster.scheduler_address
+        rows = run_campaign(tmp_path, partial(scaled, 0.5), tasks(3), scheduler=address, title="three")
+        assert [row["value"] for row in rows] == [0.0, 0.5, 1.0]
+
+
+def test_workers_that_are_all_gone_are_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workforce, "_PATIENCE_S", 1.0)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
+        protocol="tcp", host="127.0.0.1",
+    ) as cluster, pytest.raises(LinkLost) as told:  # fmt: skip
+        run_campaign(tmp_path, resigning, tasks(3), scheduler=cluster.scheduler_address, title="three")
+    assert told.value.cause == "link.workers_lost"
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("scheduler", "cause"),
+    [("tcp://127.0.0.1:9", "link.scheduler_unreachable"), ("nonsense://x", "configuration.bad_address")],
+)
+def test_a_scheduler_that_is_not_there_is_told_soon(tmp_path: Path, scheduler: str, cause: str) -> None:
+    began = time.monotonic()
+    with pytest.raises((LinkLost, ConfigurationError)) as told:
+        run_campaign(tmp_path, measured, tasks(1), scheduler=scheduler, title="none")
+    assert told.value.cause == cause
+    assert scheduler in str(told.value)
+    assert time.monotonic() - began < REACH_S + 5.0
+
+
+def test_a_key_given_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError) as told:
+        run_campaign(tmp_path, measured, [*tasks(1), *tasks(1)], scheduler=None, title="twice")
+    assert told.value.cause == "configuration.duplicate_task"
+
+
+def test_the_configuration_is_the_function_what_is_bound_to_it_and_the_task() -> None:
+    task = {"key": "a", "number": 1}
+
+    def hashed(function: Any, task: dict[str, Any] = task) -> str:
+        return configuration_of(evidence_of(function), task)
+
+    assert hashed(partial(scaled, 0.5)) == hashed(partial(scaled, 0.5), dict(task))
+    others = {
+        hashed(partial(scaled, 0.5)),
+        hashed(partial(scaled, 0.6)),
+        hashed(measured),
+        hashed(measured, task | {"number": 2}),
+    }
+    assert len(others) == 4
+
+
+def read(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """A run that reads a configuration file."""
+    return {"value": (config_dir / "plant.yaml").read_text()}
+
+
+MEASURES = "nonsense://x"
+"""A scheduler that is refused as soon as anything is to be measured."""
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Path:
+    """A configuration directory with two scenarios."""
+    config_dir = tmp_path / "configs"
+    (config_dir / "scenarios").mkdir(parents=True)
+    (config_dir / "plant.yaml").write_text("mass_kg: 1.0\n")
+    (config_dir / "scenarios" / "one.yaml").write_text("a: 1\n")
+    (config_dir / "scenarios" / "two.yaml").write_text("a: 2\n")
+    return config_dir
+
+
+@pytest.mark.parametrize(
+    ("edited", "measured_anew"),
+    [("plant.yaml", True), ("scenarios/one.yaml", True), ("scenarios/two.yaml", False), ("new.yaml", True)],
+)
+def test_an_edited_configuration_file_measures_anew(
+    tmp_path: Path, configured: Path, edited: str, measured_anew: bool
+) -> None:
+    asked = tasks(1, scenario="one")
+    function = partial(read, configured)
+    rows = run_campaign(tmp_path, function, asked, scheduler=None, workers=0, title="one")
+    assert run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one") == rows
+    (configured / edited).write_text("mass_kg: 2.0\n")
+    if measured_anew:
+        with pytest.raises(ConfigurationError):
+            run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one")
+    else:
+        assert run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one") == rows
+
+
+def test_the_same_files_elsewhere_are_the_same_evidence(tmp_path: Path, configured: Path) -> None:
+    copied = shutil.copytree(configured, tmp_path / "elsewhere")
+    assert evidence_of(partial(read, configured)) == evidence_of(partial(read, copied))
+
+
+def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "source_tree"
+    package.mkdir()
+    for name, text in {
+        "__init__": "",
+        "run": "from source_tree import near\ndef run(task):\n    return {'value': near.value()}\n",
+        "near": "def value():\n    from source_tree.far import VALUE\n    return VALUE\n",
+        "far": "VALUE = 1\n",
+        "other": "",
+    }.items():
+        (package / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    run = import_module("source_tree.run").run
+    directory = tmp_path / "rows"
+
+    def campaign_now(scheduler: str | None) -> list[dict[str, Any]]:
+        provenance.sources_hash.cache_clear()  # a process reads its own sources once
+        return run_campaign(directory, run, tasks(1), scheduler=scheduler, workers=1, title="one")
+
+    assert [row["value"] for row in campaign_now(None)] == [1]
+    (package / "other.py").write_text("# what is not imported does not count\n")
+    assert [row["value"] for row in campaign_now(MEASURES)] == [1]
+    (package / "far.py").write_text("VALUE = 22\n")
+    assert [row["value"] for row in campaign_now(None)] == [22]
+
+
+def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
+    root = Path(provenance.__file__).parents[2]
+    module = "laboratory.experiments.robustness.stream_cuts"
+    found = imported_sources(module, {name: root / name for name in PACKAGES})
+    loading = (
+        f"import sys, {module}\n"
+        f"for name in {PACKAGES!r}:\n"
+        "    print(*(m for m in sys.modules if m.partition('.')[0] == name), sep='\\n')"
+    )
+    loaded = subprocess.run([sys.executable, "-c", loading], capture_output=True, text=True, check=True)
+    assert set(loaded.stdout.split()) <= set(found)
+    assert {"plant_emulator.core.right_hand_side", "controller.core.scan"} <= set(found)
+
+
+def test_every_package_that_is_shipped_counts_as_a_source() -> None:
+    project = tomllib.loads((Path(provenance.__file__).parents[2] / "pyproject.toml").read_text())
+    shipped = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    assert set(PACKAGES) == {*shipped, "laboratory"}
+
+
+def test_another_version_of_a_library_measures_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = evidence_of(measured)
+    monkeypatch.setattr(provenance, "library_versions", lambda: {"numpy": "0.1"})
+    assert evidence_of(measured) != before
+
+
+def test_a_worker_keeps_the_memory_of_its_pictures(tmp_path: Path) -> None:
+    (row,) = run_campaign(tmp_path, faults, tasks(1), scheduler=None, workers=1, title="one")
+    assert row["faults"] < 4_000  # 20,480 where each is given back to the system
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ctrl_c_in_a_finaliser_ends_the_campaign_all_the_same(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(tmp_path, swallowing, tasks(4), scheduler=None, workers=0, title="four")
+    assert len(RowFile(tmp_path / "rows.csv").rows) == 2  # that of the run in which it came, too
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_worker_with_other_sources_or_files_makes_no_rows(
+    tmp_path: Path, configured: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    function = partial(read, configured)
+    evidence = evidence_of(function)
+    monkeypatch.setattr(campaign, "evidence_of", lambda function, scenario=None: evidence | {"sources": "0"})
+    (row,) = run_campaign(tmp_path, function, tasks(1), scheduler=None, workers=1, title="one")
+    assert row["failure"] == "campaign.other_worker: the worker's sources are not those of the client"
+
+
+def test_fresh_measures_what_is_there(tmp_path: Path) -> None:
+    run_campaign(tmp_path, measured, tasks(1), scheduler=None, workers=0, title="one")
+    (second,) = run_campaign(tmp_path, measured, tasks(1), scheduler=None, workers=0, title="one", fresh=True)
+    assert second["run_s"] is not None
+    assert len(RowFile(tmp_path / "rows.csv").rows) == 2
+    assert run_campaign(tmp_path, measured, tasks(1), scheduler=MEASURES, title="one") == [second]
+
+
+def test_the_report_says_how_many_rows_were_reused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_campaign(tmp_path, measured, tasks(2), scheduler=None, workers=0, title="some")
+    run_campaign(tmp_path, measured, tasks(3), scheduler=None, workers=0, title="some")
+    said = capsys.readouterr().out
+    assert "some: 0 rows reused, 2 measured now" in said
+    assert "some: 2 rows reused, 1 measured now" in said
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["", "plain", "1", "1e5", "true", "nan", "two\nlines", 'quo"te, comma', "[1]", "é", 0, -7, 1.5, 1e-300,
+     True, False, None, [1, 2.5, "x"]],
+)  # fmt: skip
+def test_a_row_is_read_back_as_it_was_written(tmp_path: Path, value: object) -> None:
+    file = RowFile(tmp_path / "rows.csv")
+    kept = file.append({"key": "a", "value": value})
+    file.append({"key": "b", "later": 2})
+    read = RowFile(tmp_path / "rows.csv").rows
+    assert kept["value"] == (None if value == "" else value)
+    assert type(kept["value"]) is (type(None) if value == "" else type(value))
+    assert read == [
+        {"key": "a", "value": kept["value"], "later": None},
+        {"key": "b", "value": None, "later": 2},
+    ]
+
+
+def test_a_line_that_was_cut_off_is_dropped_and_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+    file = RowFile(path)
+    file.append({"key": "a", "value": 1})
+    file.append({"key": "b", "value": 2})
+    path.write_bytes(path.read_bytes()[:-2])
+    file = RowFile(path)
+    assert [row["key"] for row in file.rows] == ["a"]
+    file.append({"key": "c", "value": 3})
+    assert path.read_text() == "key,value\na,1\nc,3\n"
+
+
+def test_a_long_list_fits_into_a_cell(tmp_path: Path) -> None:
+    long = [float(n) for n in range(50_000)]
+    RowFile(tmp_path / "rows.csv").append({"key": "a", "values": long})
+    assert RowFile(tmp_path / "rows.csv").rows[0]["values"] == long
+
+
+def test_what_is_not_finite_is_nothing() -> None:
+    assert cell(math.nan) == cell(math.inf) == cell(None) == ""

@@ -1,0 +1,196 @@
+"""The experiments small, the command as a user calls it; the full experiments run with ``-m experiment``."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from laboratory.campaigns.campaign import CampaignRequest
+from laboratory.campaigns.experiment import NoSettings, perform
+from laboratory.campaigns.rows import RowFile
+from laboratory.experiments.hand_eye import localisation, scenes
+from laboratory.experiments.hand_eye.guided_campaign import GUIDED, GuidedCampaignSettings
+from laboratory.experiments.hand_eye.hua import LOCALISATION, NOISE, LocalisationSettings, NoiseSettings
+from laboratory.experiments.hand_eye.noise_sweep import NoiseOn, SweepRow, level_of, noise_sweep
+from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, STRESS, attempted, rows_of
+from testbed.cli.main import app
+from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
+from tests.support.paths import CONFIGS
+from tests.vision_pc.hand_eye.data import random_scene
+from vision_pc.config.choices import Method
+from vision_pc.core.perception.zhang_intrinsics import Checkerboard
+from vision_pc.core.se3 import Array
+
+pytestmark = pytest.mark.slow("whole experiments, small")
+
+
+def test_printed_pose_and_table_of_the_paper_are_proper() -> None:
+    scene = scenes.table_1_scene()
+    norms = np.linalg.norm(scenes.TABLE_1[:, :4], axis=1)
+    assert norms.min() == pytest.approx(0.48, abs=0.01)
+    assert norms.max() == pytest.approx(0.84, abs=0.01)
+    R = scenes.PRINTED_X[:3, :3]
+    assert np.linalg.det(R) == pytest.approx(1.0, abs=2e-3)
+    assert np.abs(scene.X[:3, :3] - R).max() < 2e-3
+
+
+def test_small_sweep_reaches_the_bound_and_repeats() -> None:
+    chosen = [Method.HORAUD, Method.DQCR, Method.ROBUST]
+    sweep = noise_sweep(runs=6, levels=[10], only=chosen)
+    rows = {r.method: r for r in sweep}
+    assert rows["dqcr"].rotation_deg == pytest.approx(rows["horaud"].rotation_deg, rel=0.1)
+    assert rows["robust"].rotation_deg < 0.4 * rows["dqcr"].rotation_deg
+    assert rows["robust"].rotation_over_bound < 1.6
+    assert noise_sweep(runs=6, levels=[10], only=chosen) == sweep
+
+
+def test_levels_of_a_campaign_make_the_same_sweep(tmp_path: Path) -> None:
+    asked = {"noise_on": "camera-motions", "runs": 2, "seed": 1}
+    file = RowFile(tmp_path / "rows.csv")
+    levels = [file.append(level_of(asked | {"level": level})) for level in (1, 2)]
+    rows = [SweepRow(**row) for level in levels for row in level["rows"]]
+    assert rows == noise_sweep(NoiseOn.CAMERA_MOTIONS, 2, (1, 2), 1)
+
+
+@pytest.mark.parametrize("noise_on", [NoiseOn.ROBOT_POSES, NoiseOn.CAMERA_MOTIONS])
+def test_other_noise_is_told_apart(noise_on: NoiseOn) -> None:
+    sweep = noise_sweep(
+        noise_on, runs=2, levels=[5], only=[Method.DQCR, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST]
+    )
+    assert {r.noise_on for r in sweep} == {noise_on.value}
+    assert not any(r.failed for r in sweep)
+    camera = scenes.bound(scenes.table_1_scene(), scenes.noise(0.05, 0.1))
+    assert sweep[0].bound_rotation_deg != pytest.approx(camera.rotation_deg)
+
+
+def test_bounds_scale_with_the_noise() -> None:
+    scene = scenes.table_1_scene()
+    small, large = (scenes.bound(scene, scenes.noise(0.01 * d, 0.02 * d)) for d in (1, 10))
+    assert large.rotation_deg == pytest.approx(10.0 * small.rotation_deg)
+    assert large.rotation_deg == pytest.approx(0.0136, abs=5e-4)
+
+
+def test_small_localisation_favours_the_robust_solver() -> None:
+    rows = localisation.localisation(runs=2, repetitions=10)
+    everything = {(r.method, r.samples): r for r in rows if r.task == "all"}
+    robust = everything["robust", "all 17"]
+    assert robust.error_mm < everything["dqcr", "12 kept by hand"].error_mm
+    assert everything["dqcr", "12 kept by hand"].paper_mm == 2.9
+    assert everything["tsai", "12 kept by hand"].paper_recognised_percent == 79.0
+    assert everything["dqcr", "all 17"].error_mm > 5.0
+    assert {r.task for r in rows} == {"knob", "switch", "key hole", "all"}
+
+
+def test_small_stress_has_no_improper_answer() -> None:
+    bad = rows_of(BAD_SAMPLES, *attempted(BAD_SAMPLES, range(4), 1))
+    assert not any(r.improper for r in bad)
+    robust = next(r for r in bad if r.method == "robust")
+    assert robust.found == 1.0
+    assert robust.rotation_median_deg < 0.3
+    few = attempted(SMALL_ROTATIONS, range(4), 1, [Method.ROBUST, Method.DQCR])
+    assert rows_of(SMALL_ROTATIONS, *few)[0].refused == 0
+
+
+def samples_file(tmp_path: Path) -> tuple[Path, Array]:
+    scene = random_scene(np.random.default_rng(60))
+    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BT, scene.P(), strict=True)]
+    path = tmp_path / "samples.json"
+    path.write_text(json.dumps(bare), encoding="utf-8")
+    return path, scene.X
+
+
+def test_solve_writes_what_it_prints(tmp_path: Path) -> None:
+    path, X = samples_file(tmp_path)
+    report = tmp_path / "x.json"
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(path), "--json", str(report)])
+    assert "questioned: the camera is 1056 mm from the hand" in result.output  # as the scene was drawn
+    assert result.exit_code == 1, result.output
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    np.testing.assert_allclose(figures["X"]["matrix"], X, atol=1e-9)
+    assert figures["certificate"]["holds"]
+    assert len(figures["samples"]) == 12
+    assert f"{1e3 * X[0, 3]:.3f}" in result.output
+
+
+def test_solve_says_what_is_wrong(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(tmp_path / "absent.json")])
+    assert result.exit_code == 2
+    assert "longreach: refused.hand_eye.unreadable" in result.stderr
+    path, _ = samples_file(tmp_path)
+    pairs = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(pairs[:2]), encoding="utf-8")
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(path)])
+    assert result.exit_code == 2
+    assert "longreach: measurement." in result.stderr
+
+
+def test_compare_lists_every_method(tmp_path: Path) -> None:
+    path, _ = samples_file(tmp_path)
+    report = tmp_path / "all.json"
+    result = CliRunner().invoke(app, ["hand-eye", "compare", str(path), "--json", str(report)])
+    assert result.exit_code == 0, result.output
+    rows = json.loads(report.read_text(encoding="utf-8"))["rows"]
+    assert {row["method"] for row in rows} == {m.value for m in Method}
+    assert max(row["hold_out_mm"] for row in rows) < 1e-3
+
+
+def test_intrinsics_of_pictures(tmp_path: Path) -> None:
+    camera = BoardCamera(
+        np.array([[300.0, 0.0, 150.0], [0.0, 300.0, 115.0], [0.0, 0.0, 1.0]]),
+        np.zeros(5),
+        300,
+        230,
+        noise_grey=1.0,
+    )
+    renderer, board, rng = BoardRenderer(camera), Checkerboard(5, 4, 0.03), np.random.default_rng(3)
+    files = []
+    for k in range(5):
+        files.append(tmp_path / f"b{k}.png")
+        cv2.imwrite(str(files[-1]), renderer.render(board, random_board_pose(camera, board, rng), rng))
+    report = tmp_path / "k.json"
+    options = ["--columns", "5", "--rows", "4", "--square-mm", "30", "--json", str(report)]
+    result = CliRunner().invoke(app, ["hand-eye", "intrinsics", *map(str, files), *options])
+    assert result.exit_code == 0, result.output
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["K"][0][0] == pytest.approx(300.0, rel=0.02)
+    assert set(figures["view_rms_px"]) == {f"b{k}" for k in range(5)}
+
+
+def test_experiment_draws_and_writes(tmp_path: Path) -> None:
+    plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
+    options = ["--count", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
+    options += ["--out", str(tmp_path)]
+    result = CliRunner().invoke(app, ["experiment", "hua", "--method", "noise", *options])
+    assert result.exit_code == 0, result.output
+    assert cv2.imread(str(plot)) is not None
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["passed"]
+    assert len(figures["rows"]) == 2 * len(Method)
+
+
+@pytest.mark.experiment
+@pytest.mark.parametrize("noise_on", list(NoiseOn))
+def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
+    request = CampaignRequest(CONFIGS, tmp_path, runs=200)
+    assert perform(NOISE, request, NoiseSettings(noise_on))
+
+
+@pytest.mark.experiment
+def test_stress_in_full(tmp_path: Path) -> None:
+    assert perform(STRESS, CampaignRequest(CONFIGS, tmp_path, runs=1000), NoSettings())
+
+
+@pytest.mark.experiment
+def test_localisation_in_full(tmp_path: Path) -> None:
+    request = CampaignRequest(CONFIGS, tmp_path, runs=50)
+    assert perform(LOCALISATION, request, LocalisationSettings())
+
+
+@pytest.mark.experiment
+@pytest.mark.timeout(7200)
+def test_guided_sessions_in_full(tmp_path: Path) -> None:
+    request = CampaignRequest(CONFIGS, tmp_path, runs=6, seed=301)
+    assert perform(GUIDED, request, GuidedCampaignSettings())
