@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controller.core.kinematics.denavit_hartenberg import chain, dh_table, tool_pose
+from controller.core.kinematics.denavit_hartenberg import chain, dh_table, geometric_jacobian, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
-from controller.core.kinematics.jacobian import geometric_jacobian
 from longreach.configured import CONFIGS, Assignments, configured
 from nominal_arm.description import NominalArm
 from plant_emulator.core.camera.scene import Scene

@@ -12,8 +12,8 @@ from foundation.configuration import load, parse_overrides
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.config.valves import JOINT_NAMES
-from plant_emulator.core import columns as col
-from plant_emulator.core.mechanics.linkage import actuator_position
+from plant_emulator.core import layout as col
+from plant_emulator.core.mechanics.geometry import actuator_position
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, ValveImage
 from testbed.lockstep.clock import run

@@ -12,7 +12,7 @@ from foundation.modbus import MAX_PDU_BYTES
 from plant_emulator.core.coupler import modbus_requests as requests
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
-from plant_emulator.shell.modbus_pdus import MAX_WRITE_BITS
+from plant_emulator.shell.coupler_connection import MAX_WRITE_BITS
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
 from tools.protocol_page import filled

@@ -21,9 +21,7 @@ from controller.core.scan_types import (
     Sextuple,
     idle,
 )
-from controller.core.servo.drives import Circuit, load_pressures, pilot_pressures
 from controller.core.servo.joint_control import JointFilters, Pressures, unmoved
-from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
     LEFT,
@@ -35,8 +33,12 @@ from controller.core.servo.servo_step import (
     ROWS,
     SENSE,
     VALVES,
+    Circuit,
     ServoInput,
+    load_pressures,
+    pilot_pressures,
     servo_step,
+    tool_state,
 )
 from controller.core.settings import ScanSettings
 from controller.core.standing import parking_before, rests_settled, standing_after, stands_now

@@ -9,7 +9,7 @@ from controller.core.parking.joint import Joints, joints_at_start
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.references.streaming import OpenStream
 from controller.core.servo.joint_control import JointFilters, unmoved
-from controller.core.servo.pose_servo import ToolState, tool_state
+from controller.core.servo.servo_step import ToolState, tool_state
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
 from controller.core.trajectories.motion import DesiredMotion, holding

@@ -5,10 +5,8 @@ import numpy as np
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import Array
 from controller.core.parking.joint import ParkingLaw
-from controller.core.servo.drives import RATIO, drive_table, rated_circuit
 from controller.core.servo.joint_control import JointGains, LoadHolding
-from controller.core.servo.pose_servo import ServoGains
-from controller.core.servo.servo_step import ServoConstants
+from controller.core.servo.servo_step import RATIO, ServoConstants, ServoGains, drive_table, rated_circuit
 from nominal_arm.commissioned import CURVE_KNOTS, ValveSet
 from nominal_arm.description import JOINT_NAMES, NominalArm
 

@@ -2,11 +2,16 @@
 
 import numpy as np
 
-from controller.core.kinematics.rotations import Array
-from controller.core.kinematics.triples import norm
-from controller.core.parking.backlash_side import all_within
+from controller.core.kinematics.rotations import Array, norm
 from controller.core.parking.joint import HOLD, Joints, ParkingLaw, joints_in_motion, offsets_from_place
-from controller.core.parking.rest import arm_parked, arm_rested, is_parked, may_stop_here, unsettled_joints
+from controller.core.parking.rest import (
+    all_within,
+    arm_parked,
+    arm_rested,
+    is_parked,
+    may_stop_here,
+    unsettled_joints,
+)
 from controller.core.scan_types import MOVES, ScanEvent, ScanState, Standing
 from controller.core.settings import ScanSettings
 from nominal_arm.description import JOINT_NAMES

@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.group_states import Stimulus
-from controller.core.kinematics.rotations import Array
-from controller.core.kinematics.triples import norm
+from controller.core.kinematics.rotations import Array, norm
 from controller.core.plant_watch import PlantWatch, cycle_frozen, link_lost
-from controller.core.servo.pose_servo import ToolState
+from controller.core.servo.servo_step import ToolState
 from controller.core.settings import ScanSettings, SupervisionLimits
 from controller.core.trajectories.workspace import outside
 from foundation.compiled import kernel

@@ -2,15 +2,17 @@
 
 import asyncio
 import contextlib
+import json
 import secrets
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
-from controller.core.flight_recorder import FlightRecorder
+from controller.core.flight_recorder import FlightRecorder, Scan, plain
 from controller.core.plant_watch import PlantRefusal
 from controller.core.requests import is_live
 from controller.core.scan_program import ScanProgram
@@ -22,13 +24,10 @@ from controller.core.scan_types import (
     to_state,
 )
 from controller.shell.controller_figures import FIGURES
-from controller.shell.cyclic_task import CyclicTask
-from controller.shell.flight_dump import dump
+from controller.shell.cyclic_task import CyclicTask, warm_up
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
-from controller.shell.scan_recorder import ScanRecorder
-from controller.shell.trial_records import TrialRecords
-from controller.shell.warm_up import warm_up
+from controller.shell.scan_recorder import ScanRecorder, TrialRecords
 from foundation.configuration import configuration_hash
 from foundation.durations import DurationHistogram, percent_missed
 from foundation.event_log import EventLog, Level
@@ -47,6 +46,27 @@ from protocol.faults import CommandCode, FaultCode
 from protocol.process_image import SensorImage, ValveImage, decode_sensors, encode_valves
 from protocol.reference_messages import Command, Request
 from protocol.server_session import ReferenceServer
+
+
+async def dump(directory: Path, fault: str, number: int, scans: Sequence[Scan], log: EventLog) -> None:
+    """Write ``scans`` as JSON lines, oldest first, to ``flight_<number>_<fault>.jsonl``; a full disk is
+    logged."""
+    path = directory / f"flight_{number:03d}_{fault.lower()}.jsonl"
+    try:
+        await asyncio.to_thread(_write, path, scans)
+    except OSError as error:
+        log.write(
+            "flight_record_failed", "error", cause="recording.unwritable", detail=f"{path}: {error.strerror}"
+        )
+    else:
+        log.write("flight_record", path=str(path), scans=len(scans), fault=fault)
+
+
+def _write(path: Path, scans: Sequence[Scan]) -> None:
+    with path.open("w", encoding="utf-8") as file:
+        for each in scans:  # one at a time: the scan gets the interpreter in between, and memory stays small
+            file.write(json.dumps(plain(each)) + "\n")
+
 
 _STATE_STATISTICS_NS = 1_000_000_000  # the window of the percentiles in the state message
 _SHUTDOWN_S = 1.4  # to ramp down after SIGTERM; the process must be gone within 2 s

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from foundation.compiled import allocation_free
 from laboratory.validation.oracles import PinocchioArm
 from laboratory.validation.plant_rig import Stand
-from plant_emulator.core import columns as col
-from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
-from plant_emulator.core.hydraulics.valves import slew_limited
+from plant_emulator.core import layout as col
+from plant_emulator.core.hydraulics.oil_rates import ATMOSPHERE
+from plant_emulator.core.hydraulics.valve_commands import slew_limited
 from plant_emulator.core.layout import (
     N_ACTUATORS,
     PRESSURE_A,

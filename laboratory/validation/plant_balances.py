@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from foundation.configuration import load
 from laboratory.validation.ledger import Ledger
 from laboratory.validation.plant_rig import NO_ERRORS, Stand, ValidationCase, default_config
+from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.equilibrium import rest_state
-from plant_emulator.core.hydraulics.chambers import bulk_modulus
+from plant_emulator.core.hydraulics.oil_rates import bulk_modulus
 from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, SUPPLY, Q
 from plant_emulator.core.model import put_payload
 from plant_emulator.core.plant import Plant

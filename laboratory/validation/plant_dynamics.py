@@ -12,10 +12,10 @@ from laboratory.validation.oracles import MujocoArm, PinocchioArm
 from laboratory.validation.plant_rig import LIFT, Stand, ValidationCase, default_config, loaded_lift
 from laboratory.validation.plant_statics import settle_lift
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import N_COORDINATES, RATE, Q
 from plant_emulator.core.mechanics.elastic import outboard_inertia
-from plant_emulator.core.mechanics.friction import bristle_rate, friction_force, steady_level
+from plant_emulator.core.mechanics.loose import bristle_rate, friction_force, steady_level
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.model import put_payload
 

@@ -18,10 +18,10 @@ from laboratory.validation.plant_rig import (
     rate_of,
 )
 from laboratory.validation.plant_statics import settle_lift
-from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
-from plant_emulator.core import columns as col
+from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
+from plant_emulator.core import layout as col
 from plant_emulator.core.equilibrium import gravity_torque
-from plant_emulator.core.hydraulics.valves import orifice_flow, spool_acceleration
+from plant_emulator.core.hydraulics.valve_commands import orifice_flow, spool_acceleration
 from plant_emulator.core.layout import DRIVEN, N_COORDINATES, PRESSURE_A, PRESSURE_B, SPOOL, Q
 
 Array = NDArray[np.float64]

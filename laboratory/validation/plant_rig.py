@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import (
     DRIVEN,
     N_ACTUATORS,
@@ -23,8 +23,7 @@ from plant_emulator.core.layout import (
     state_size,
 )
 from plant_emulator.core.mechanics.bodies import Lump, sphere, together
-from plant_emulator.core.mechanics.geometry import Chain
-from plant_emulator.core.mechanics.linkage import ROTARY
+from plant_emulator.core.mechanics.geometry import ROTARY, Chain
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import Model, build_model
 from plant_emulator.core.right_hand_side import new_work, right_hand_side, runge_kutta_step

@@ -16,11 +16,11 @@ from laboratory.validation.plant_rig import (
     default_config,
     loaded_lift,
 )
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.equilibrium import bent_pose, gravity_torque
 from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, RATE, Q
 from plant_emulator.core.mechanics.bodies import sphere
-from plant_emulator.core.mechanics.linkage import actuator_lever, actuator_position
+from plant_emulator.core.mechanics.geometry import actuator_lever, actuator_position
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 
 Array = NDArray[np.float64]

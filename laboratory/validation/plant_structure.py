@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from laboratory.validation.oracles import MujocoArm, PinocchioArm
 from laboratory.validation.plant_dynamics import decrement, period
 from laboratory.validation.plant_rig import Stand, ValidationCase, default_config
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.equilibrium import bent_pose
 from plant_emulator.core.mechanics import loose
 from plant_emulator.core.mechanics.bodies import sphere

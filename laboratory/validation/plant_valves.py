@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from laboratory.validation.plant_balances import resting_arm
 from laboratory.validation.plant_rig import LIFT, Stand, ValidationCase, default_config
+from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.valves import JOINT_NAMES, JointName, Valve
-from plant_emulator.core import columns as col
-from plant_emulator.core.hydraulics.chambers import bulk_modulus
+from plant_emulator.core import layout as col
+from plant_emulator.core.hydraulics.oil_rates import bulk_modulus
 from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, RATE, SPOOL, SUPPLY, Q
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, ValveImage

@@ -20,8 +20,8 @@ from laboratory.campaigns.experiment import Check, Experiment, Finished, seeds
 from laboratory.validation.ledger import Balance, Ledger
 from laboratory.validation.plant_balances import resting_arm
 from laboratory.validation.plant_rig import Stand
-from plant_emulator.config.units import BAR
-from plant_emulator.core import columns as col
+from plant_emulator.config.actuators import BAR
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import N_COORDINATES, RATE
 from plant_emulator.core.model import put_payload
 from protocol.errors import ConfigurationError

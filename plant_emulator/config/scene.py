@@ -5,10 +5,14 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
-from plant_emulator.config.boards import AnyBoardConfig
-from plant_emulator.config.camera import CameraConfig
-from plant_emulator.config.lighting import LightingConfig
-from plant_emulator.config.surroundings import CableConfig, PasserConfig, RebarConfig, WallConfig
+from plant_emulator.config.camera import CameraConfig, LightingConfig
+from plant_emulator.config.surroundings import (
+    AnyBoardConfig,
+    CableConfig,
+    PasserConfig,
+    RebarConfig,
+    WallConfig,
+)
 
 Vector3 = tuple[float, float, float]
 SmallAngle = Annotated[float, Field(ge=-90.0, le=90.0)]

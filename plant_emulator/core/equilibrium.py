@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.units import BAR
-from plant_emulator.core import columns as col
+from plant_emulator.config.actuators import BAR
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import (
     JOINTS,
     LOAD_SENSE,
@@ -18,7 +18,7 @@ from plant_emulator.core.layout import (
     state_size,
 )
 from plant_emulator.core.mechanics import loose
-from plant_emulator.core.mechanics.linkage import actuator_lever, actuator_position
+from plant_emulator.core.mechanics.geometry import actuator_lever, actuator_position
 from plant_emulator.core.mechanics.multibody import Mechanism, forward_kinematics, multibody_work
 from plant_emulator.core.model import Model
 from protocol.errors import ConfigurationError

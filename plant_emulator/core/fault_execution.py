@@ -5,8 +5,9 @@ from collections.abc import Callable
 import numpy as np
 
 from plant_emulator.core.faults.kinds import MarkerCovered
-from plant_emulator.core.faults.orders import (
+from plant_emulator.core.faults.schedule import (
     FaultState,
+    Injection,
     MendOrder,
     Order,
     OrderAnswer,
@@ -14,7 +15,6 @@ from plant_emulator.core.faults.orders import (
     PlantMessage,
     RestartOrder,
 )
-from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.plant import Plant
 from protocol.errors import RequestRefused
 

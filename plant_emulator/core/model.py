@@ -6,16 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.actuators import ActuatorConfig
+from plant_emulator.config.actuators import BAR, LITRE, LITRE_PER_MINUTE, ActuatorConfig
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR, LITRE, LITRE_PER_MINUTE
 from plant_emulator.config.valves import JOINT_NAMES, Valve, ValvesConfig
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import N_ACTUATORS, Places, places
 from plant_emulator.core.mechanics.bodies import Lump, build_bodies, payload, together
 from plant_emulator.core.mechanics.elastic import build_mechanism
-from plant_emulator.core.mechanics.geometry import Chain, build_chain
-from plant_emulator.core.mechanics.linkage import CYLINDER, ROTARY
+from plant_emulator.core.mechanics.geometry import CYLINDER, ROTARY, Chain, build_chain
 from plant_emulator.core.mechanics.loose import Looseness, build_looseness
 from plant_emulator.core.mechanics.multibody import Mechanism
 

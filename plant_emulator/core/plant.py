@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import settled
+from plant_emulator.config.actuators import BAR
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR
 from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig
-from plant_emulator.core import columns as col
-from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, motion_between
+from plant_emulator.core import layout as col
+from plant_emulator.core.camera.exposures import CameraMotion, CameraView, motion_between
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.faults.effects import (
     MOST_KG,
@@ -43,9 +43,8 @@ from plant_emulator.core.mechanics.loose import set_phases
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import Model, build_model, put_payload
 from plant_emulator.core.right_hand_side import EncoderShafts, advance_commanded, new_work
-from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
-from plant_emulator.core.truth import Mounts, PlantTruth, inverse
+from plant_emulator.core.truth import Encoders, Mounts, PlantTruth, inverse
 from protocol.errors import RequestRefused
 from protocol.process_image import (
     STATUS_SENSOR_FAULT,

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.hydraulics.oil_rates import JOINT, add_oil
-from plant_emulator.core.hydraulics.valve_commands import ValveTargets, take
-from plant_emulator.core.hydraulics.valves import slew_limited
+from plant_emulator.core.hydraulics.valve_commands import ValveTargets, slew_limited, take
 from plant_emulator.core.layout import N_ACTUATORS, Q, state_size
 from plant_emulator.core.mechanics.loose import add_looseness
 from plant_emulator.core.mechanics.multibody import MultibodyWork, forward_dynamics, multibody_work

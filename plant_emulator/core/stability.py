@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.units import RUNGE_KUTTA_REACH
-from plant_emulator.core import columns as col
+from plant_emulator.config.actuators import RUNGE_KUTTA_REACH
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import (
     COORDINATES,
     JOINTS,
@@ -20,7 +20,7 @@ from plant_emulator.core.layout import (
 )
 from plant_emulator.core.mechanics import loose
 from plant_emulator.core.mechanics.elastic import mobility
-from plant_emulator.core.mechanics.linkage import ROTARY, actuator_position
+from plant_emulator.core.mechanics.geometry import ROTARY, actuator_position
 from plant_emulator.core.model import Model
 from plant_emulator.core.right_hand_side import new_work, right_hand_side
 from protocol.errors import ConfigurationError

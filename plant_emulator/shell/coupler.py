@@ -12,10 +12,9 @@ from collections import deque
 from collections.abc import Callable
 
 from plant_emulator.core.coupler.answers import CouplerAnswers
-from plant_emulator.core.coupler.turns import Turns
-from plant_emulator.core.places import who_yields
-from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
-from plant_emulator.shell.modbus_pdus import answer_to, request_of
+from plant_emulator.core.coupler.modbus_requests import Turns
+from plant_emulator.core.layout import who_yields
+from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection, answer_to, request_of
 from protocol.process_image import ValveImage
 
 TURN_NS = 1_000_000  # between two slices of the others

@@ -32,7 +32,7 @@ from foundation.rest.refusals import Refusal
 from foundation.rest.server import RestServer, install_problems
 from foundation.scheduling import Policy, take_policy
 from plant_emulator.config.service import FaultApiConfig
-from plant_emulator.core.faults.orders import (
+from plant_emulator.core.faults.schedule import (
     MOST_BYTES,
     FaultState,
     MendOrder,
@@ -43,7 +43,7 @@ from plant_emulator.core.faults.orders import (
     message_with,
     order_with,
 )
-from plant_emulator.shell.installed_faults import every_kind, installed_faults, own_kinds
+from plant_emulator.shell.fault_desk import every_kind, installed_faults, own_kinds
 from protocol.errors import LinkLost, RequestRefused
 
 PLACES = 64  # connections

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.places import who_yields
+from plant_emulator.core.layout import who_yields
 from protocol.stereo_frame import FrameHeader, encode_header
 
 _SEND_BUFFER_BYTES = 1 << 19  # about a quarter of a 720p pair: what waits in the kernel must not grow old

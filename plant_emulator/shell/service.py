@@ -21,7 +21,7 @@ from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
 from plant_emulator.config.service import Endpoint, PlantSideConfig
-from plant_emulator.core.camera.camera_motion import STILL, CameraView
+from plant_emulator.core.camera.exposures import STILL, CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant

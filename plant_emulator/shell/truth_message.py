@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from foundation.recording.messages import MessageField, message_class
-from plant_emulator.core.camera.camera_motion import CameraMotion
+from plant_emulator.core.camera.exposures import CameraMotion
 from plant_emulator.core.layout import HINGES, JOINTS
 from plant_emulator.core.truth import Array, PlantTruth
 

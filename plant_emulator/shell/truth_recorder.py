@@ -23,7 +23,7 @@ from foundation.recording.messages import (
     transforms,
 )
 from foundation.recording.recording_thread import RecordingThread, RecordSink
-from plant_emulator.core.camera.camera_motion import CameraMotion
+from plant_emulator.core.camera.exposures import CameraMotion
 from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import SceneDrawing, frames

@@ -7,9 +7,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.core.kinematics.denavit_hartenberg import chain, dh_table, tool_pose
+from controller.core.kinematics.denavit_hartenberg import chain, dh_table, geometric_jacobian, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
-from controller.core.kinematics.jacobian import geometric_jacobian
 from nominal_arm.description import JOINT_NAMES, CylinderDrive
 from nominal_arm.dimensions import boom_dimensions
 from plant_emulator.config.actuators import CylinderConfig

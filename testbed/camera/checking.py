@@ -17,8 +17,7 @@ from vision_pc.config.camera import PinholePair
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception import intrinsics, look, pair_check
-from vision_pc.core.perception.board_offset import board_offset
-from vision_pc.core.perception.pair_check import PictureReport, RowReport
+from vision_pc.core.perception.pair_check import PictureReport, RowReport, board_offset
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
 from vision_pc.core.perception.stereo_fit import PairView
 from vision_pc.core.types import FrameObservation, PointPairs, StereoOffset, StereoPair

@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plant_emulator.config.boards import AnyBoardConfig, CharucoConfig, CheckerboardConfig
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.boards import board_pose
+from plant_emulator.config.surroundings import AnyBoardConfig, CharucoConfig, CheckerboardConfig
+from plant_emulator.core.camera.cabinet import board_pose
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import ConfigurationError

@@ -12,7 +12,7 @@ from rich.text import Text
 from foundation.configuration import parse_overrides
 from foundation.extensions import Extensions
 from plant_emulator.core.faults.kinds import FAULTS
-from plant_emulator.shell.installed_faults import every_kind, installed_faults
+from plant_emulator.shell.fault_desk import every_kind, installed_faults
 from protocol.errors import ConfigurationError
 from testbed.arms.check import check_arm
 from testbed.realtime import doctor

@@ -11,7 +11,7 @@ import yaml
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import obey
-from plant_emulator.core.faults.orders import FaultOrder
+from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError, LinkLost, LongreachError, MeasurementFailed
 from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
 from testbed.commissioning.live_run import LiveController, excite_live, take_finished

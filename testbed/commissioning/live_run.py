@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from controller.commissioning import basis_of
-from controller.core.excitation.excitation_state import Trouble
-from controller.core.excitation.plan import Stroke, StrokeKind
+from controller.core.excitation.plan import Stroke, StrokeKind, Trouble
 from controller.core.excitation.program import ExcitationSample
 from nominal_arm.description import JOINT_NAMES
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed

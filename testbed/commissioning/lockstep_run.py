@@ -3,8 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from controller.core.excitation.excitation_state import Trouble
-from controller.core.excitation.plan import Stroke
+from controller.core.excitation.plan import Stroke, Trouble
 from protocol.errors import LinkLost, MeasurementFailed
 from protocol.faults import CommandCode, GroupState
 from testbed.commissioning.recording import JointRecording, SeenPose, recording_of

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from controller.core.excitation.excitation_state import Trouble
+from controller.core.excitation.plan import Trouble
 from nominal_arm.description import JOINT_NAMES
 
 

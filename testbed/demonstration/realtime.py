@@ -10,7 +10,7 @@ import httpx
 
 from foundation.secret_source import read_secret
 from plant_emulator.core.camera.wall.bores import hole_places
-from plant_emulator.core.faults.orders import FaultOrder
+from plant_emulator.core.faults.schedule import FaultOrder
 from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
 from testbed.demonstration.holes import aimed_truths, visit_holes

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plant_emulator.config.units import BAR
+from plant_emulator.config.actuators import BAR
 from plant_emulator.core.layout import JOINTS
 from protocol.errors import ConfigurationError
 from testbed.identification.recording import COLUMNS, Array, MotionRecording

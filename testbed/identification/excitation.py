@@ -9,12 +9,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from foundation.configuration import configuration_hash
+from plant_emulator.config.actuators import BAR
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR
 from plant_emulator.config.valves import JOINT_NAMES
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.sensors import COUNTS_PER_RADIAN
+from plant_emulator.core.truth import COUNTS_PER_RADIAN
 from protocol.process_image import CONTROL_ENABLE, ValveImage
 from testbed.identification.checks import Machine
 from testbed.identification.recording import About, Array, MotionRecording, hex_hash

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
-from plant_emulator.core.sensors import COUNTS_PER_RADIAN
+from plant_emulator.core.truth import COUNTS_PER_RADIAN
 from testbed.identification.free_run import smoothed, start_of
 from testbed.identification.operating import (
     SUPPLY_EDGE,

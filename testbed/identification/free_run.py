@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
+from plant_emulator.config.actuators import BAR
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.equilibrium import bent_pose, standing_torque
 from plant_emulator.core.layout import (
     BRISTLE,
@@ -21,7 +21,7 @@ from plant_emulator.core.layout import (
     PRESSURE_B,
 )
 from plant_emulator.core.mechanics.elastic import start_angles
-from plant_emulator.core.mechanics.linkage import actuator_lever
+from plant_emulator.core.mechanics.geometry import actuator_lever
 from plant_emulator.core.model import build_model, put_payload
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.right_hand_side import new_work

@@ -13,12 +13,11 @@ from scipy.signal import lsim
 
 from foundation.compiled import allocation_free
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.core import columns as col
-from plant_emulator.core.columns import EDGES
-from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
-from plant_emulator.core.hydraulics.valves import slew_limited
-from plant_emulator.core.layout import JOINTS
-from plant_emulator.core.mechanics.linkage import actuator_reach
+from plant_emulator.core import layout as col
+from plant_emulator.core.hydraulics.oil_rates import ATMOSPHERE
+from plant_emulator.core.hydraulics.valve_commands import slew_limited
+from plant_emulator.core.layout import EDGES, JOINTS
+from plant_emulator.core.mechanics.geometry import actuator_reach
 from plant_emulator.core.model import Model, build_model, put_payload
 from testbed.identification.compiled_run import spool_words
 from testbed.identification.free_run import Smoothed, smoothed

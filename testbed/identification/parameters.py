@@ -12,11 +12,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from plant_emulator.config.actuators import BAR
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR
 from plant_emulator.config.valves import JOINT_NAMES
-from plant_emulator.core.columns import EDGES
-from plant_emulator.core.layout import JOINTS
+from plant_emulator.core.layout import EDGES, JOINTS
 from plant_emulator.core.plant import Plant
 from protocol.errors import ConfigurationError
 from testbed.identification.free_run import Start

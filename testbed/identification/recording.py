@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foundation.configuration import StrictModel, validated
-from plant_emulator.config.units import BAR
+from plant_emulator.config.actuators import BAR
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from protocol.errors import ConfigurationError
 

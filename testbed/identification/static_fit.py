@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.model import Model
 from testbed.identification.free_run import standing_push

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
-from plant_emulator.core.camera.exposures import Exposures, Shot
+from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, Capture, Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant

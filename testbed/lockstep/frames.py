@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-from plant_emulator.core.camera.camera_motion import Capture
+from plant_emulator.core.camera.exposures import Capture
 from protocol.errors import ConfigurationError
 from testbed.lockstep.camera_side import Exposure
 from testbed.lockstep.world import VISION_CLOCK_NS, World

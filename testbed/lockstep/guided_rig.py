@@ -14,10 +14,9 @@ from testbed.lockstep.rig import SimulatedTimeLog
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
-from vision_pc.application.hand_eye.driving import ended_in_fault
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
-from vision_pc.application.hand_eye.steps import StartCheck
-from vision_pc.application.hand_eye.store import SessionStore
+from vision_pc.application.hand_eye.sensing import ended_in_fault
+from vision_pc.application.hand_eye.steps import SessionStore, StartCheck
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.se3 import Array
 

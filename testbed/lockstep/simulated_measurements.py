@@ -23,8 +23,8 @@ from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.core.perception import intrinsics, markers
-from vision_pc.core.perception.camera_correction import as_believed, as_found
 from vision_pc.core.perception.camera_errors import fitted_errors
+from vision_pc.core.perception.intrinsics import as_believed, as_found
 from vision_pc.core.perception.look import FrameMarkers, FrameStamp, observation_of, priors_after
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraErrors, CameraModel, FrameObservation, OdometryPose, WatchSample

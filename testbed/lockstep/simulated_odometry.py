@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from foundation.configuration import StrictModel
-from plant_emulator.core.camera.camera_motion import Capture
+from plant_emulator.core.camera.exposures import Capture
 from testbed.lockstep.true_view import TrueView
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.config.camera import CameraConfig
-from plant_emulator.core.camera.camera_motion import CameraView, Capture
+from plant_emulator.core.camera.exposures import CameraView, Capture
+from plant_emulator.core.camera.eye import TrueEye, as_read, true_eyes
 from plant_emulator.core.camera.scene import Plate, Scene
-from plant_emulator.core.camera.true_eye import TrueEye, as_read, true_eyes
 from vision_pc.core import se3_stacks
 from vision_pc.core.se3 import Array, apply, inverse
 

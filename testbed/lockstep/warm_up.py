@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 import numpy as np
 
 from controller.core.settings import settings_from
-from controller.shell.warm_up import warm_up as scan_a_little
+from controller.shell.cyclic_task import warm_up as scan_a_little
 from foundation.command_options import usual_configs
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plant_emulator.core.camera.camera_motion import CameraView
+from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from testbed.pictures.effects import effects, pictured

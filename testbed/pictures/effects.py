@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from foundation.configuration import merged, validated
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
-from plant_emulator.core.camera.exposures import Exposures
+from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, Capture, Exposures
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered

@@ -17,8 +17,7 @@ from pydantic import TypeAdapter
 
 from foundation.recording.decoding import RecordingUnreadable, messages
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
-from plant_emulator.core.camera.exposures import Exposures, Shot
+from plant_emulator.core.camera.exposures import STILL, CameraView, Capture, Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.faults.kinds import FAULTS, Fault

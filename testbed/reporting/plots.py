@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nominal_arm.dimensions import DhLink
 from testbed.reporting.outcome import LIMIT_M, Stage
-from vision_pc.application.console.skeleton import skeleton
+from vision_pc.application.console.advice import skeleton
 
 Array = NDArray[np.float64]
 

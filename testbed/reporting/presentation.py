@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from rich.table import Table
 from rich.text import Text
 
-from plant_emulator.core.faults.orders import FaultOrder
+from plant_emulator.core.faults.schedule import FaultOrder
 from testbed.reporting import outcome as outcomes
 from testbed.reporting.console import out, write_json
 from testbed.reporting.outcome import Outcome

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import yaml
 
 from foundation.configuration import validated
-from plant_emulator.core.faults.orders import FaultOrder, order_with
-from plant_emulator.shell.installed_faults import every_kind, installed_faults, own_kinds
+from plant_emulator.core.faults.schedule import FaultOrder, order_with
+from plant_emulator.shell.fault_desk import every_kind, installed_faults, own_kinds
 from protocol.errors import ConfigurationError
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
 from controller.core.settings import ScanSettings, settings_from
-from controller.shell.warm_up import warm_up
+from controller.shell.cyclic_task import warm_up
 from foundation.configuration import configuration_hash, load, merged, parse_overrides
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey

@@ -13,7 +13,7 @@ from controller.core.kinematics.rotations import Array
 from controller.core.references.admission import admit
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
-from controller.core.servo.pose_servo import tool_state
+from controller.core.servo.servo_step import tool_state
 from controller.core.settings import ScanSettings
 from protocol.reference_messages import ReferencePath, StreamedPose
 from protocol.session_events import StreamedPoseReceived

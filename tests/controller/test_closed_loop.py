@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.servo.servo_step import resolve, tool_state
 from controller.core.settings import ScanSettings
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig

@@ -7,7 +7,7 @@ import pytest
 
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import quaternion_from_matrix
-from controller.core.servo.pose_servo import tool_state
+from controller.core.servo.servo_step import tool_state
 from controller.core.settings import ScanSettings
 from nominal_arm.description import NominalArm
 from protocol.faults import FaultCode, Reason

@@ -27,10 +27,9 @@ from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.camera_eyes import open_eyes
+from vision_pc.shell.camera_eyes import MonotonicClock, open_eyes
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
 from vision_pc.shell.rest.operations import Operations
 

@@ -2,7 +2,7 @@
 
 from tests.faults.live import LiveRig, Machine, live
 from tests.vision_pc.shell.loopback_controller import until
-from vision_pc.shell.rest.link_view import link_view
+from vision_pc.shell.rest.state_view import link_view
 
 
 def another_arm() -> Machine:

@@ -18,13 +18,12 @@ from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.experiments import catalogue
 from laboratory.experiments.positioning import programs
 from laboratory.experiments.positioning.programs import ProgramsSettings, programs_tasks
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out, fault_state
-from plant_emulator.core.faults.orders import FaultOrder, FaultState, MendOrder, message_with
-from plant_emulator.core.faults.schedule import NEVER_NS
+from plant_emulator.core.faults.schedule import NEVER_NS, FaultOrder, FaultState, MendOrder, message_with
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell import fault_api, installed_faults
+from plant_emulator.shell import fault_api, fault_desk
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.cli.main import app
 from testbed.demonstration.sequence import Recorder, demonstrate
@@ -43,7 +42,7 @@ PAGE = page("how_to/install_your_own.md")
 (MODULE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 CACHES = (
     installed_programs.installed_programs,
-    installed_faults.installed_faults,
+    fault_desk.installed_faults,
     catalogue.catalogue,
     catalogue.added,
 )
@@ -260,7 +259,7 @@ class NearDesk:
         return FaultState.model_validate_json(fault_state(self._plant).model_dump_json())
 
     async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
-        kind = message_with(installed_faults.own_kinds())
+        kind = message_with(fault_desk.own_kinds())
         message = kind.model_validate_json(kind(number=1, order=order).model_dump_json())
         answer = carry_out(message, self._plant, Scene(scene_config()).cover).answer
         assert answer is not None

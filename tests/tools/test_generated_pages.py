@@ -8,7 +8,7 @@ from types import ModuleType
 import pytest
 
 from plant_emulator.core.coupler.image import COUPLER_MAP
-from plant_emulator.shell.modbus_pdus import request_of
+from plant_emulator.shell.coupler_connection import request_of
 from tests.support.paths import ROOT
 from tools import against_reality_page, coupler_page, programs_page, worlds_page
 from tools.page_vendor import FILES, PACKAGES, Made

@@ -29,16 +29,15 @@ from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.ports import CameraStatus, Seen
-from vision_pc.config.programs import ProgramSettings
-from vision_pc.config.targets import TargetSettings
+from vision_pc.config.programs import ProgramSettings, TargetSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration, distorted
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
 from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
+from vision_pc.shell.camera_eyes import MonotonicClock
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
 from vision_pc.shell.rest.operations import Operations
 

@@ -9,16 +9,14 @@ import numpy as np
 from vision_pc.application.annotate import annotated, png
 from vision_pc.application.eyes import FrameEyes
 from vision_pc.application.ports import CameraStatus, EyesRecord, FrameSource, Runtime, Seen, StateSource
-from vision_pc.application.targets.aimed_sensor import AimedSensor
-from vision_pc.application.targets.carrier import TargetCarrier
+from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception.look import combine
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
+from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper, refuse_moved
 from vision_pc.core.targets.measuring import at_click, holes
-from vision_pc.core.targets.moving_thing import refuse_moved
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 from vision_pc.core.types import FrameObservation, Look, StereoPair

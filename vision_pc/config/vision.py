@@ -15,8 +15,7 @@ from protocol.errors import ConfigurationError
 from protocol.reference_messages import ANY_ARM
 from vision_pc.config.camera import CameraSettings, Port
 from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
-from vision_pc.config.programs import ProgramSettings
-from vision_pc.config.targets import TargetSettings
+from vision_pc.config.programs import ProgramSettings, TargetSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics, look
-from vision_pc.core.perception.camera_correction import as_believed, as_found
 from vision_pc.core.perception.camera_errors import fitted_errors
+from vision_pc.core.perception.intrinsics import as_believed, as_found
 from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample
 
 

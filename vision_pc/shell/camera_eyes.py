@@ -1,16 +1,109 @@
 """The service's eyes put together: a camera, a thread to compute in, and the record of what was seen."""
 
-from typing import NamedTuple
+import asyncio
+import time
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, TypeVar
 
 from foundation.event_log import EventLog
+from foundation.scheduling import take_policy
 from vision_pc.application.annotate import annotated, png
 from vision_pc.application.camera_eyes import CameraEyes
-from vision_pc.application.ports import FrameSource, Runtime, StateSource
+from vision_pc.application.ports import Clock, FrameSource, Runtime, StateSource
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth
-from vision_pc.shell.monotonic_clock import MonotonicClock
-from vision_pc.shell.worker import BatchWorker, TaskBackground
+
+
+class MonotonicClock:
+    """Implements ``vision_pc.application.ports.Clock`` for everything that shares one event loop."""
+
+    def __init__(self) -> None:
+        self._news = asyncio.Event()
+
+    @property
+    def now_ns(self) -> int:
+        """The machine's monotonic time."""
+        return time.monotonic_ns()
+
+    def wake(self) -> None:
+        """Have everybody who waits look again."""
+        self._news.set()
+        self._news = asyncio.Event()
+
+    async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for ``happened()``. Return False when ``timeout_s`` have passed first."""
+        try:
+            # Not wait_for: it swallows a cancellation that comes together with the event (Python < 3.12).
+            async with asyncio.timeout(timeout_s):
+                while not happened():
+                    await self._news.wait()
+        except TimeoutError:
+            return happened()
+        return True
+
+
+T = TypeVar("T")
+
+
+class BatchWorker:
+    """Implements ``vision_pc.application.ports.Worker`` in one thread of the batch class; ``close`` ends it.
+
+    The event loop stays free for the link and the REST API while the thread detects and tracks.
+    """
+
+    def __init__(self) -> None:
+        # Batch: it never interrupts the event loop, and the link with it. Not idle: on a busy machine an idle
+        # thread is suspended for long with the interpreter's lock in its hand, and the loop waits for that.
+        self._thread = ThreadPoolExecutor(1, "vision")
+        self.scheduling = self._thread.submit(take_policy, "batch").result()
+
+    async def run(self, work: Callable[[], T]) -> T:
+        """What ``work`` returns."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    def submit(self, work: Callable[[], None]) -> None:
+        """Have ``work`` done later, in its turn."""
+        self._thread.submit(work)
+
+    def close(self) -> None:
+        """End the thread, once it has finished what was submitted."""
+        self._thread.shutdown()
+
+
+class TaskBackground:
+    """Implements ``vision_pc.application.ports.Background`` with tasks."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def start(self, program: Coroutine[Any, Any, None]) -> "TaskWork":
+        """Start ``program`` as a task."""
+        task = asyncio.create_task(program)
+        task.add_done_callback(lambda _: self._clock.wake())
+        return TaskWork(task)
+
+
+class TaskWork:
+    """Implements ``vision_pc.application.ports.BackgroundWork`` over a task."""
+
+    def __init__(self, task: "asyncio.Task[None]") -> None:
+        self._task = task
+
+    @property
+    def ended(self) -> bool:
+        """Return True if the task is done."""
+        return self._task.done()
+
+    async def join(self) -> None:
+        """Wait for the end. Raises what the program raised."""
+        await self._task
+
+    async def cancel(self) -> None:
+        """Cancel the task and wait for its end."""
+        self._task.cancel()
+        await asyncio.wait([self._task])
 
 
 class LookRecord:

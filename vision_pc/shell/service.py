@@ -27,15 +27,13 @@ from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
-from vision_pc.application.hand_eye.store import SessionStore
+from vision_pc.application.hand_eye.steps import SessionStore
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program
 from vision_pc.config.vision import VisionConfig
-from vision_pc.shell.camera_eyes import open_eyes
+from vision_pc.shell.camera_eyes import MonotonicClock, open_eyes
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.link.machine_watch import MachineWatch
-from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
+from vision_pc.shell.link.udp_endpoint import MachineWatch, UdpEndpoint
 from vision_pc.shell.recording.opening import open_recording
 from vision_pc.shell.recording.recorded_ports import record_programs
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app

@@ -10,13 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.excitation.excitation_state import Excitation, Measured, Phase, Trouble, begun, driven
-from controller.core.excitation.plan import N_JOINTS, ExcitationPlan, StrokeKind
+from controller.core.excitation.plan import (
+    N_JOINTS,
+    Excitation,
+    ExcitationPlan,
+    Measured,
+    Phase,
+    StrokeKind,
+    Trouble,
+    begun,
+    driven,
+)
 from controller.core.excitation.strokes import ended, excite
 from controller.core.requests import enter_mode
 from controller.core.scan import scan
 from controller.core.scan_types import ScanEvent, ScanInput, ScanOutput, ScanState, Sextuple, idle
-from controller.core.servo.drives import full_spool_speeds
+from controller.core.servo.servo_step import full_spool_speeds
 from controller.core.settings import ScanSettings
 from controller.core.trajectories.motion import start_motion
 from controller.core.trajectories.paths import straight

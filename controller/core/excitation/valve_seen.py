@@ -1,7 +1,6 @@
 """What strokes tell of their valve: where it opens, how much it gives, how far it hangs behind; pure."""
 
-from controller.core.excitation.excitation_state import Excitation, Phase, sense_of
-from controller.core.excitation.plan import ExcitationLimits, Stroke
+from controller.core.excitation.plan import Excitation, ExcitationLimits, Phase, Stroke, sense_of
 
 # A spool with hysteresis stands still while its command turns back: that part is passed quickly.
 _TURNING_1_S = 1.5  # of the opening at the top, each second; at least the ramp's own rate

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.kinematics.rotations import Array
-from controller.core.kinematics.triples import Angles, Rows, Triple, Vector
+from controller.core.kinematics.rotations import Angles, Array, Rows, Triple, Vector
 from foundation.compiled import fused, kernel
 
 REACHED = 0

@@ -12,23 +12,32 @@ import math
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.parking.backlash_side import (
-    allowed_offset,
-    follow_backlash_sides,
-    overshot,
-    turn_towards,
+from controller.core.parking.jogs import (
+    FAR_RAD,
+    holding_spool,
+    jog_spool,
+    pulse_spool,
+    shut_valve,
+    start_holding,
+    start_jog,
+    start_pulse,
 )
-from controller.core.parking.jogs import jog_spool, pulse_spool, shut_valve, start_jog, start_pulse
 from controller.core.parking.joint import FOLLOW, HOLD, MOVES, PULSE, SHUT, Joint, Joints, ParkingLaw
-from controller.core.parking.leak import FAR_RAD, holding_spool, start_holding
 from controller.core.parking.metering import (
     decompression_spool,
     learn_from_metered,
     metered_spool,
     start_metered,
 )
-from controller.core.parking.rest import ARRIVED_RAD, judge_rest, watch_creep
-from controller.core.servo.drives import full_spool_speeds
+from controller.core.parking.rest import (
+    ARRIVED_RAD,
+    allowed_offset,
+    follow_backlash_sides,
+    judge_rest,
+    overshot,
+    turn_towards,
+    watch_creep,
+)
 from controller.core.servo.servo_step import (
     LEFT,
     PT1,
@@ -37,6 +46,7 @@ from controller.core.servo.servo_step import (
     VALVES,
     ServoConstants,
     ServoInput,
+    full_spool_speeds,
     servo_step,
 )
 from foundation.compiled import kernel

@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.kinematics.jacobian import damped_inverse
-from controller.core.kinematics.rotations import Array, orientation_error
-from controller.core.kinematics.triples import exponential, norm, product
+from controller.core.kinematics.denavit_hartenberg import damped_inverse
+from controller.core.kinematics.rotations import Array, exponential, norm, orientation_error, product
 from controller.core.references.admission import Refusal, unusable
-from controller.core.servo.pose_servo import ServoGains
+from controller.core.servo.servo_step import ServoGains
 from controller.core.settings import ScanSettings
 from controller.core.trajectories.approach import ApproachTrajectory, AxisLimits, approach, twist_limit
 from controller.core.trajectories.path_survey import survey_straight

@@ -14,20 +14,18 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
 from controller.core.kinematics.rotations import (
+    Angles,
     Array,
     conjugate,
-    quaternion_product,
-    vector_from_quaternion,
-    vector_rates,
-)
-from controller.core.kinematics.triples import (
-    Angles,
     cross_product,
     exponential,
     product,
+    quaternion_product,
     rows,
     turned,
     turning,
+    vector_from_quaternion,
+    vector_rates,
 )
 from controller.core.trajectories.paths import Desired, at_rest
 from foundation.compiled import kernel

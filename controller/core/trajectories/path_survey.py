@@ -16,11 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.kinematics.denavit_hartenberg import chain
+from controller.core.kinematics.denavit_hartenberg import chain, damped_inverse, geometric_jacobian
 from controller.core.kinematics.inverse_kinematics import REACHED, ArmGeometry, geometry, solve
-from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
-from controller.core.kinematics.rotations import Array
-from controller.core.kinematics.triples import Angles, Quadruple, Triple, norm, rows
+from controller.core.kinematics.rotations import Angles, Array, Quadruple, Triple, norm, rows
 from controller.core.trajectories.paths import Path, pose_on_segment, rates_on_segment, straight
 from controller.core.trajectories.workspace import WorkspaceBounds, opened, outside
 from foundation.compiled import kernel

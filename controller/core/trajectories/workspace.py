@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.kinematics.rotations import Array
-from controller.core.kinematics.triples import Vector
+from controller.core.kinematics.rotations import Array, Vector
 from foundation.compiled import kernel
 
 

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from plant_emulator.config.boards import CabinetConfig
-from plant_emulator.core.camera.boards import board_points, board_pose
+from plant_emulator.config.surroundings import CabinetConfig
+from plant_emulator.core.camera.cabinet import board_points, board_pose
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, MotionUnsettled, RequestRefused
 from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from testbed.scenarios.settings import chosen_overrides, load_settings
-from vision_pc.application.hand_eye.driving import ended_in_fault
+from vision_pc.application.hand_eye.sensing import ended_in_fault
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import solution as guided_solution

@@ -12,8 +12,7 @@ import numpy as np
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import CameraView, Capture, motion_between
-from plant_emulator.core.camera.exposures import Shot
+from plant_emulator.core.camera.exposures import CameraView, Capture, Shot, motion_between
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.faults.kinds import CameraBlind

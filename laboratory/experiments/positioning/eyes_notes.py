@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plant_emulator.core.camera.camera_motion import Capture
+from plant_emulator.core.camera.exposures import Capture
 from plant_emulator.core.camera.scene import Scene
 from testbed.lockstep.camera_side import Exposure
 from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.perception.camera_correction import as_believed
+from vision_pc.core.perception.intrinsics import as_believed
 from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (

@@ -15,7 +15,7 @@ from laboratory.campaigns.experiment import Check, Experiment, Finished, at_leas
 from laboratory.campaigns.options import Assignments, Scenario
 from laboratory.campaigns.provenance import sources_hash
 from laboratory.experiments.positioning.results import quantile, share
-from plant_emulator.shell.installed_faults import installed_faults
+from plant_emulator.shell.fault_desk import installed_faults
 from testbed.demonstration.lockstep import run_lockstep
 from testbed.reporting.console import bars, table
 from testbed.reporting.outcome import Outcome

@@ -17,7 +17,7 @@ from foundation.configuration import merged
 from laboratory.experiments.positioning.worlds import ARMS, DrawnWorld, drawn
 from nominal_arm.description import NominalArm
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import CameraView, Capture
+from plant_emulator.core.camera.exposures import CameraView, Capture
 from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView

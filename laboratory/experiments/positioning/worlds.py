@@ -28,8 +28,7 @@ from nominal_arm.commissioned import (
     ValveSet,
 )
 from nominal_arm.description import CylinderDrive, Drive
-from plant_emulator.config.actuators import ActuatorConfig
-from plant_emulator.config.units import LITRE_PER_MINUTE
+from plant_emulator.config.actuators import LITRE_PER_MINUTE, ActuatorConfig
 from plant_emulator.config.valves import JOINT_NAMES, Valve
 from testbed.commissioning.margins import MARGINS, gain_within
 from testbed.lockstep.simulated_measurements import EyeCondition

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.servo.servo_step import resolve, tool_state
 from controller.core.settings import settings_from
 from foundation.configuration import merged, parse_overrides
 from laboratory.experiments.positioning import axes

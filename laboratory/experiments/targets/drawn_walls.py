@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.surroundings import WallConfig
+from plant_emulator.core.camera.eye import true_eyes
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
-from plant_emulator.core.camera.true_eye import true_eyes
 from plant_emulator.core.camera.wall.bores import height_of_wall
 from testbed.scenarios.settings import Settings, load_settings
 from vision_pc.core import se3

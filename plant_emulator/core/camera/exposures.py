@@ -1,13 +1,14 @@
 """What a camera that loses, repeats or cannot see frames makes of each capture."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from plant_emulator.config.camera import CameraConfig
-from plant_emulator.core.camera.camera_motion import Capture
-from plant_emulator.core.camera.drift import Drift
+from plant_emulator.config.camera import CameraConfig, DriftConfig
 from plant_emulator.core.faults.kinds import (
     AnyFault,
     BaseFault,
@@ -16,6 +17,93 @@ from plant_emulator.core.faults.kinds import (
     FramesDropped,
     MarkerCovered,
 )
+from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
+
+Matrix = NDArray[np.float64]
+
+
+class CameraView(NamedTuple):
+    """Poses (4x4) in W of the left eye and of the tool marker."""
+
+    X_WC: Matrix
+    X_WM: Matrix
+
+
+class CameraMotion(NamedTuple):
+    """Velocities of both, (2, 6): velocity in W (m/s), then rotation vector in the body's axes (rad/s)."""
+
+    rates: Matrix
+
+    def at(self, view: CameraView, offset_s: float) -> CameraView:
+        """The view ``offset_s`` after (or, negative, before) the instant of ``view``."""
+        X_WC, X_WM = (_moved(X, rate * offset_s) for X, rate in zip(view, self.rates, strict=True))
+        return CameraView(X_WC, X_WM)
+
+
+STILL = CameraMotion(np.zeros((2, 6)))
+
+
+class Capture(NamedTuple):
+    """A capture instant, mid-exposure: its number and time, where eye and marker are and how they move.
+
+    ``drift_px``: how far the right eye has turned since the first capture, as disparity and as rows.
+    """
+
+    frame_id: int
+    capture_ns: int
+    view: CameraView
+    motion: CameraMotion = STILL
+    drift_px: tuple[float, float] = (0.0, 0.0)
+
+    def view_at(self, offset_s: float) -> CameraView:
+        """The view ``offset_s`` after (or, negative, before) the instant."""
+        return self.view if offset_s == 0.0 else self.motion.at(self.view, offset_s)
+
+
+def motion_between(before: CameraView, now: CameraView, interval_s: float) -> CameraMotion:
+    """The motion that carries ``before`` into ``now`` in ``interval_s``."""
+    return CameraMotion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))
+
+
+def _moved(X: Matrix, step: Matrix) -> Matrix:
+    return transform(X[:3, :3] @ rotation_from_vector(step[3:]), X[:3, 3] + step[:3])
+
+
+def _difference(a: Matrix, b: Matrix) -> Matrix:
+    turn, _ = cv2.Rodrigues(a[:3, :3].T @ b[:3, :3])
+    return np.concatenate([b[:3, 3] - a[:3, 3], turn[:, 0]])
+
+
+_STREAM = 0x6472696674
+_KNOTS = 20  # in one time constant
+
+
+class Drift:
+    """The walk of one camera. Deterministic for a seed and the times asked for since the first one."""
+
+    def __init__(self, config: DriftConfig, seed: int) -> None:
+        self._spread = np.array([config.disparity_px, config.vertical_px])
+        self._interval_s = config.time_constant_s / _KNOTS
+        self._kept = math.exp(-1.0 / _KNOTS)
+        self._rng = np.random.default_rng((seed, _STREAM))
+        self._start_ns: int | None = None
+        self._knots = [np.zeros(2)]
+
+    def at(self, time_ns: int) -> tuple[float, float]:
+        """(disparity, rows) px at ``time_ns``, both zero at the first time asked for and before it."""
+        if not self._spread.any():
+            return 0.0, 0.0
+        if self._start_ns is None:
+            self._start_ns = time_ns
+        knots = max(1e-9 * (time_ns - self._start_ns), 0.0) / self._interval_s
+        before = int(knots)
+        while len(self._knots) < before + 2:
+            step = math.sqrt(1.0 - self._kept**2) * self._rng.standard_normal(2)
+            self._knots.append(self._kept * self._knots[-1] + step)
+        share = knots - before
+        drift = self._spread * ((1.0 - share) * self._knots[before] + share * self._knots[before + 1])
+        return float(drift[0]), float(drift[1])
+
 
 _DROP_STREAM, _FREEZE_STREAM, _STAMP_STREAM = 0x64726F70, 0x667265657A65, 0x7374616D70
 _WORST_JITTER = 3.0  # standard deviations

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.core.camera.fetching import Pairs, pairs_of
-from plant_emulator.core.camera.lens import Lens, Optics, projected
+from plant_emulator.core.camera.rays import Lens, Optics, projected
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]

@@ -17,7 +17,7 @@ from plant_emulator.config.scene import (
     WallMarkerConfig,
 )
 from plant_emulator.config.surroundings import PasserConfig
-from plant_emulator.core.camera.boards import board_plates
+from plant_emulator.core.camera.cabinet import board_plates
 from plant_emulator.core.camera.plates import Bend, plain_plate
 from plant_emulator.core.camera.plates import Plate as Plate
 from plant_emulator.core.camera.surroundings import (

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.faults.kinds import (
     AnyFault,
     EncoderBias,

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
-from plant_emulator.core import columns as col
-from plant_emulator.core.hydraulics.chambers import bulk_modulus, relief_flow
-from plant_emulator.core.hydraulics.valves import (
+from plant_emulator.core import layout as col
+from plant_emulator.core.hydraulics.valve_commands import (
     compensated_drop,
     held_gain,
     opening,
@@ -30,8 +29,35 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.mechanics.friction import bristle_rate, friction_force, steady_level
-from plant_emulator.core.mechanics.linkage import actuator_reach
+from plant_emulator.core.mechanics.geometry import actuator_reach
+from plant_emulator.core.mechanics.loose import bristle_rate, friction_force, steady_level
+
+ATMOSPHERE = 101_325.0  # Pa
+FLOOR = 1_000.0  # Pa: below it the air term is held constant, so that the modulus stays above zero
+
+
+@allocation_free
+def bulk_modulus(
+    pressure: float, volume: float, oil: float, wall: float, air: float, exponent: float
+) -> float:
+    """Effective bulk modulus (Pa) of a chamber: 1/β = 1/β_oil + C_wall/V + α (p0/p)^(1/n)/(n p).
+
+    ``wall`` is the compliance of barrel and hose (m³/Pa), ``air`` the entrained volume fraction at
+    atmospheric pressure. Each term is a relative volume per pascal, hence mass is conserved whatever the
+    pressure does.
+    """
+    p = max(pressure, FLOOR)
+    softness = 1.0 / oil + wall / volume
+    if air > 0.0:
+        softness += air * (ATMOSPHERE / p) ** (1.0 / exponent) / (exponent * p)
+    return 1.0 / softness
+
+
+@allocation_free
+def relief_flow(pressure: float, setting: float, gain: float) -> float:
+    """Flow (m³/s) that a relief valve lets out: ``gain`` (m³/s/Pa) times the excess over ``setting``."""
+    return gain * max(pressure - setting, 0.0)
+
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -5,13 +5,50 @@ base's x axis and each axis is simply where the drawing puts it. An error displa
 behind it.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import allocation_free
 from plant_emulator.config.plant import JointErrorConfig, PlantConfig
 from plant_emulator.config.structure import BeamConfig, hinge_lengths
+
+CYLINDER = 0.0
+ROTARY = 1.0
+
+
+@allocation_free
+def actuator_reach(
+    angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
+) -> tuple[float, float]:
+    """Piston position (m) or vane angle (rad) from its retracted end at joint ``angle``, and its slope dx/dθ.
+
+    The slope is the lever arm of a cylinder (m/rad), and 1 for a rotary actuator.
+    """
+    if kind == ROTARY:
+        return angle - angle0, 1.0
+    reduced, sides = angle - angle0, base * lever
+    length = math.sqrt(base * base + lever * lever + 2.0 * sides * math.cos(reduced))
+    return length - length0, -sides * math.sin(reduced) / length
+
+
+@allocation_free
+def actuator_position(
+    angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
+) -> float:
+    """Piston position (m) or vane angle (rad) from its retracted end, at joint ``angle``."""
+    return actuator_reach(angle, kind, base, lever, angle0, length0)[0]
+
+
+@allocation_free
+def actuator_lever(
+    angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
+) -> float:
+    """dx/dθ (m/rad for a cylinder, 1 for a rotary actuator) at joint ``angle``."""
+    return actuator_reach(angle, kind, base, lever, angle0, length0)[1]
+
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plant_emulator.config.boards import CabinetConfig
+from plant_emulator.config.surroundings import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource

@@ -5,10 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from controller.core.excitation.excitation_state import Excitation, Measured, Phase, begun
-from controller.core.excitation.guards import broken_off
-from controller.core.excitation.plan import ExcitationPlan, StrokeKind
-from controller.core.excitation.strokes import excite
+from controller.core.excitation.plan import Excitation, ExcitationPlan, Measured, Phase, StrokeKind, begun
+from controller.core.excitation.strokes import broken_off, excite
 from tests.controller.excitation.toy_valve import DT_S, START, plan_for
 
 JOINT = 5

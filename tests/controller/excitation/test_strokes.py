@@ -6,8 +6,15 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from controller.core.excitation.excitation_state import Excitation, Measured, Phase, begun, driven
-from controller.core.excitation.plan import ExcitationPlan, StrokeKind
+from controller.core.excitation.plan import (
+    Excitation,
+    ExcitationPlan,
+    Measured,
+    Phase,
+    StrokeKind,
+    begun,
+    driven,
+)
 from controller.core.excitation.strokes import excite
 from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, LSB, START, ToyValve, plan_for, tried
 

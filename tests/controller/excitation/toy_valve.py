@@ -6,8 +6,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from controller.config import ControllerConfig
-from controller.core.excitation.excitation_state import Excitation, Measured, Phase, Trouble, begun
-from controller.core.excitation.plan import ExcitationPlan, excitation_plan
+from controller.core.excitation.plan import (
+    Excitation,
+    ExcitationPlan,
+    Measured,
+    Phase,
+    Trouble,
+    begun,
+    excitation_plan,
+)
 from controller.core.excitation.program import ExcitationSample
 from controller.core.excitation.strokes import excite
 from foundation.configuration import load

@@ -6,9 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from controller.core.kinematics.denavit_hartenberg import chain, tool_pose
+from controller.core.kinematics.denavit_hartenberg import chain, damped_inverse, geometric_jacobian, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, TOO_FAR, joint_angles
-from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array
 from nominal_arm.description import NominalArm
 

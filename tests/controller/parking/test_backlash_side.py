@@ -9,12 +9,19 @@ import pytest
 
 from controller.commissioning import basis_of, commissioned_config
 from controller.config import ControllerConfig
-from controller.core.parking.backlash_side import all_within, allowed_offset, follow_backlash_sides
 from controller.core.parking.joint import JOG, SHUT, ParkingLaw, joints_at_start, joints_in_motion
 from controller.core.parking.metering import decompression_spool, oil_to_release
 from controller.core.parking.parking import _has_arrived as has_arrived
 from controller.core.parking.parking import needs_move, phase_spool
-from controller.core.parking.rest import arm_rested, judge_rest, may_stop_here, watch_creep
+from controller.core.parking.rest import (
+    all_within,
+    allowed_offset,
+    arm_rested,
+    follow_backlash_sides,
+    judge_rest,
+    may_stop_here,
+    watch_creep,
+)
 from controller.core.scan_types import ScanState, initial_state
 from controller.core.servo_settings import parking_law
 from controller.core.settings import settings_from

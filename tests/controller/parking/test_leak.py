@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from controller.core.parking.jogs import FAR_RAD
 from controller.core.parking.joint import HOLD, SHUT, joints_at_start, joints_in_motion, offsets_from_place
-from controller.core.parking.leak import FAR_RAD
 from controller.core.parking.parking import phase_spool
 from controller.core.parking.rest import arm_parked, watch_creep
 from protocol.process_image import VALVE_FULL_SCALE

@@ -6,14 +6,6 @@ import numpy as np
 import pytest
 
 from controller.core.kinematics.rotations import Array, quaternion_from_vector, quaternion_product
-from controller.core.servo.drives import (
-    LONG,
-    SHORT,
-    drive_table,
-    full_spool_speeds,
-    load_pressures,
-    rated_circuit,
-)
 from controller.core.servo.joint_control import (
     JointFilters,
     JointGains,
@@ -23,7 +15,17 @@ from controller.core.servo.joint_control import (
     unmoved,
     valve_commands,
 )
-from controller.core.servo.pose_servo import ServoGains, resolve, tool_state
+from controller.core.servo.servo_step import (
+    LONG,
+    SHORT,
+    ServoGains,
+    drive_table,
+    full_spool_speeds,
+    load_pressures,
+    rated_circuit,
+    resolve,
+    tool_state,
+)
 from controller.core.trajectories.paths import at_rest
 from nominal_arm.description import NominalArm
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from controller.core.servo.valve_inverse import opening_for, without_play
+from controller.core.servo.joint_control import opening_for, without_play
 
 CURVE = np.array([[0.0, 0.0], [0.1, 0.03], [0.3, 0.2], [0.9, 1.0]])
 

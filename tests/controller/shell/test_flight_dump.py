@@ -6,7 +6,7 @@ from pathlib import Path
 from controller.core.flight_recorder import FlightRecorder
 from controller.core.scan_types import ScanInput
 from controller.core.settings import ScanSettings
-from controller.shell.flight_dump import dump
+from controller.shell.service import dump
 from foundation.event_log import EventLog
 from tests.controller.obedient_plant import Bench
 

@@ -9,10 +9,10 @@ import pytest
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
-from controller.core.excitation.excitation_state import Phase, Trouble, begun
+from controller.core.excitation.plan import Phase, Trouble, begun
 from controller.core.excitation.program import ExcitationSample
 from controller.core.scan_program import ScanProgram
-from controller.shell.trial_records import TrialRecords
+from controller.shell.scan_recorder import TrialRecords
 from foundation.configuration import load
 from foundation.event_log import EventLog
 from nominal_arm.description import NominalArm

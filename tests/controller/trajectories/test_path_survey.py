@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from controller.core.kinematics.denavit_hartenberg import tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, geometry, solve
-from controller.core.kinematics.rotations import Array, quaternion_from_matrix
-from controller.core.kinematics.triples import rows
+from controller.core.kinematics.rotations import Array, quaternion_from_matrix, rows
 from controller.core.references import admission
 from controller.core.settings import ScanSettings
 from controller.core.trajectories.path_survey import (

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from controller.core.trajectories.quintic import coefficients, evaluate
+from controller.core.trajectories.paths import coefficients, evaluate
 
 _numbers = st.floats(-5.0, 5.0)
 _ends = st.tuples(_numbers, _numbers, _numbers).map(np.array)

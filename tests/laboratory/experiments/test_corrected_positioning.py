@@ -32,7 +32,7 @@ from laboratory.experiments.positioning.results import (
 )
 from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName
-from plant_emulator.core.camera.camera_motion import CameraView, Capture
+from plant_emulator.core.camera.exposures import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView

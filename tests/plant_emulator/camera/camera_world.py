@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import CameraView
+from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.scene import Scene, rotation_matrix
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.mechanics.geometry import transform

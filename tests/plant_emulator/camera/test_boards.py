@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from plant_emulator.config.boards import AnyBoardConfig, CabinetConfig
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.boards import board_points, board_pose
-from plant_emulator.core.camera.cabinet import cabinet_front
-from plant_emulator.core.camera.camera_motion import CameraView
+from plant_emulator.config.surroundings import AnyBoardConfig, CabinetConfig
+from plant_emulator.core.camera.cabinet import board_points, board_pose, cabinet_front
+from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plant_emulator.core.camera.camera_motion import CameraView
+from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera.camera_world import CLEAN, camera, wall_view

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.camera import imager
-from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, motion_between
+from plant_emulator.core.camera import stereo_camera
+from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, motion_between
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -260,6 +260,6 @@ def test_light_becomes_grey_as_dirt_vignetting_gain_and_curve_say() -> None:
     light = np.clip((picture * passed + added) * falls, 0.0, 255.0)
     wanted = np.interp(light, np.arange(257), response)
     single = [part.astype(np.float32) for part in (passed, added, response)]
-    line = imager._Line(np.empty(60, np.float32), np.empty(60, np.int32))
-    imager._expose(picture, single[0], single[1], 1.3, 1e-4, (28.5, 21.0), single[2], line)
+    line = stereo_camera._Line(np.empty(60, np.float32), np.empty(60, np.int32))
+    stereo_camera._expose(picture, single[0], single[1], 1.3, 1e-4, (28.5, 21.0), single[2], line)
     assert np.abs(picture - wanted).max() < 0.501

@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
-from plant_emulator.core.camera.exposures import Exposures, Shot
+from plant_emulator.core.camera.exposures import STILL, CameraView, Capture, Exposures, Shot
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT
 from plant_emulator.core.faults.kinds import (
     CameraBlind,
@@ -22,7 +21,7 @@ from plant_emulator.core.faults.kinds import (
 )
 from plant_emulator.core.mechanics.geometry import transform
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.renderer import decode_shot, encode_shot
+from plant_emulator.shell.camera_sender import decode_shot, encode_shot
 from protocol.errors import RequestRefused
 from tests.plant_emulator.camera.camera_world import clean_camera, scene_config, shipped_camera, start_view
 from tests.plant_emulator.camera.test_stereo_camera import seen_ids

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plant_emulator.config.camera import LensConfig
-from plant_emulator.core.camera.lens import Lens
+from plant_emulator.core.camera.rays import Lens
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from tests.plant_emulator.camera.camera_world import (
     CLEAN,

@@ -8,11 +8,9 @@ import pytest
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import Capture
-from plant_emulator.core.camera.exposures import Shot
-from plant_emulator.core.camera.imager import AutoExposure
-from plant_emulator.core.camera.lighting import glare_on, shadow_on
-from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.exposures import Capture, Shot
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, AutoExposure, StereoCamera
+from plant_emulator.core.camera.surroundings import glare_on, shadow_on
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from protocol.errors import ConfigurationError
 from tests.plant_emulator.camera.camera_world import (

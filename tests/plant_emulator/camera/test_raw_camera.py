@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from plant_emulator.core.camera import plates
-from plant_emulator.core.camera.lens import Lens
+from plant_emulator.core.camera.rays import Lens
 from tests.plant_emulator.camera.camera_world import CLEAN, camera, clean_camera, start_view
 
 RAW = {

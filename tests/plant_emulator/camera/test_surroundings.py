@@ -8,8 +8,7 @@ import pytest
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import CameraView, Capture
-from plant_emulator.core.camera.exposures import Shot
+from plant_emulator.core.camera.exposures import CameraView, Capture, Shot
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView

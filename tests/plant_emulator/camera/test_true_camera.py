@@ -11,9 +11,7 @@ import pytest
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, Capture
-from plant_emulator.core.camera.drift import Drift
-from plant_emulator.core.camera.exposures import Exposures, Shot
+from plant_emulator.core.camera.exposures import CameraMotion, CameraView, Capture, Drift, Exposures, Shot
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector
 from protocol.errors import ConfigurationError

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from plant_emulator.core.coupler.turns import Turns
-from plant_emulator.core.places import who_yields
+from plant_emulator.core.coupler.modbus_requests import Turns
+from plant_emulator.core.layout import who_yields
 from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection

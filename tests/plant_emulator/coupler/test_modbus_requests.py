@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from plant_emulator.core.coupler.modbus_requests import RegisterMap, Span
-from plant_emulator.shell.modbus_pdus import request_of
+from plant_emulator.shell.coupler_connection import request_of
 
 IN, OUT, CONFIGURATION = Span(0, 40), Span(0x800, 12), Span(0x1120, 3)
 MAP = RegisterMap(

@@ -12,7 +12,7 @@ from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import true_points
 from plant_emulator.core.faults.kinds import CouplerSilent, Fault, MarkerCovered, SupplyLost
-from plant_emulator.core.faults.orders import (
+from plant_emulator.core.faults.schedule import (
     MOST_BYTES,
     FaultOrder,
     MendOrder,

@@ -19,7 +19,7 @@ from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out, fault_state, true_points
 from plant_emulator.core.faults.kinds import FAULTS
-from plant_emulator.core.faults.orders import FaultState, MendOrder, Order, OrderMessage
+from plant_emulator.core.faults.schedule import FaultState, MendOrder, Order, OrderMessage
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api

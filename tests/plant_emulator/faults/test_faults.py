@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import Field, TypeAdapter, ValidationError
 
-from plant_emulator.config.units import BAR
-from plant_emulator.core import columns as col
+from plant_emulator.config.actuators import BAR
+from plant_emulator.core import layout as col
 from plant_emulator.core.faults.kinds import (
     FAULTS,
     EncoderBias,
@@ -21,7 +21,7 @@ from plant_emulator.core.faults.kinds import (
     ValveStuck,
     ValveSwapped,
 )
-from plant_emulator.core.hydraulics.valves import orifice_flow
+from plant_emulator.core.hydraulics.valve_commands import orifice_flow
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
 from protocol.process_image import (

@@ -10,7 +10,7 @@ from numba.core.runtime import _nrt_python, rtsys
 from foundation.configuration import load, parse_overrides
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES
-from plant_emulator.core import columns as col
+from plant_emulator.core import layout as col
 from plant_emulator.core.model import build_model
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work

@@ -226,7 +226,7 @@ def test_a_killed_plant_takes_its_children_along() -> None:
 @pytest.mark.slow("a plant starts as processes")
 def test_a_renderer_that_ends_by_itself_ends_the_plant() -> None:
     with running() as (process, _):
-        os.kill(child(process.pid, "plant_emulator.shell.renderer"), signal.SIGKILL)
+        os.kill(child(process.pid, "plant_emulator.shell.camera_sender"), signal.SIGKILL)
         assert process.wait(30.0) == 1
         assert process.stderr is not None
         assert "link.renderer_ended" in process.stderr.read()
@@ -250,7 +250,7 @@ def test_a_renderer_that_breaks_says_so_in_the_schema_of_the_log() -> None:
     with ours, theirs, socket.create_server(("127.0.0.1", 0)) as listener:
         inherited = (listener.fileno(), theirs.fileno())
         done = subprocess.run(
-            [sys.executable, "-m", "plant_emulator.shell.renderer", *map(str, inherited), "normal"],
+            [sys.executable, "-m", "plant_emulator.shell.camera_sender", *map(str, inherited), "normal"],
             input="no scene at all", capture_output=True, text=True, timeout=READY_S, pass_fds=inherited,
         )  # fmt: skip
     assert done.returncode == 1

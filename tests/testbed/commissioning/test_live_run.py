@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from controller.commissioning import basis_of
-from controller.shell.trial_records import TrialRecords
+from controller.shell.scan_recorder import TrialRecords
 from foundation.configuration import parse_overrides
 from foundation.event_log import EventLog
 from nominal_arm.commissioned import Commissioned

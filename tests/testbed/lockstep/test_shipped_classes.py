@@ -19,10 +19,9 @@ from vision_pc.application.eyes import FrameEyes
 from vision_pc.application.link_arm import CarryingArm, LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.shell import service
-from vision_pc.shell.camera_eyes import open_eyes
+from vision_pc.shell.camera_eyes import MonotonicClock, open_eyes
 from vision_pc.shell.cameras import CameraSource, open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from foundation.configuration import merged
 from laboratory.campaigns.rows import typed
 from laboratory.experiments.positioning.eyes_measure import MeasuredRow, parameters
-from plant_emulator.core.camera.camera_motion import CameraView, Capture
+from plant_emulator.core.camera.exposures import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from foundation.configuration import parse_overrides, read_yaml
+from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.valves import JOINT_NAMES, JointName
 from testbed.scenarios.arms import arm_names, arm_overrides
 from testbed.scenarios.settings import Settings, load_settings

@@ -15,11 +15,18 @@ from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
 from tests.support.paths import CONFIGS
 from tests.vision_pc import synthetic
 from tests.vision_pc.synthetic_station import CAMERA, TOOL_ID, bench, observed
-from vision_pc.application.console.advice import advice
-from vision_pc.application.console.alarms import HIGH, LOW, URGENT, AlarmList, Condition, alarm_json
+from vision_pc.application.console.advice import (
+    HIGH,
+    LOW,
+    URGENT,
+    AlarmList,
+    Condition,
+    advice,
+    alarm_json,
+    skeleton,
+)
 from vision_pc.application.console.overlay import ToldEllipse, overlay
 from vision_pc.application.console.overview import conditions, ellipse_of, glimpse, told_by
-from vision_pc.application.console.skeleton import skeleton
 from vision_pc.application.ports import Seen
 from vision_pc.core.types import Look
 

@@ -31,10 +31,9 @@ from vision_pc.core.se3 import transform
 from vision_pc.core.targets.sighting import Click, Sighted
 from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.camera_eyes import OpenedEyes, open_eyes
+from vision_pc.shell.camera_eyes import MonotonicClock, OpenedEyes, open_eyes
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
 
 pytestmark = pytest.mark.realtime
 

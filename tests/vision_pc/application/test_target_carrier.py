@@ -10,8 +10,7 @@ import pytest
 from protocol.errors import LinkLost, RequestRefused
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.application.targets.aimed_sensor import AimedSensor
-from vision_pc.application.targets.carrier import TargetCarrier
+from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.core.se3 import Array, to_pose, transform
 from vision_pc.core.targets.keeper import MARKERS, TargetKeeper
 from vision_pc.core.targets.target import TargetObservation

@@ -6,7 +6,7 @@ import pytest
 from protocol.errors import RequestRefused
 from tests.vision_pc.program_settings import shipped
 from vision_pc.application.targets.view import target_json
-from vision_pc.config.targets import TargetSettings
+from vision_pc.config.programs import TargetSettings
 from vision_pc.core import se3
 from vision_pc.core.targets.keeper import TargetKeeper
 from vision_pc.core.targets.target import TargetObservation

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision_pc.core.calibration.block_spread import block_spreads
+from vision_pc.core.calibration.joint_play import block_spreads
 
 BLOCKS, ROWS = 10, 12
 

@@ -9,7 +9,7 @@ from tests.vision_pc.rendering import cropped, wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.odometry.arm_motion import ArmHistory, ArmPrior
+from vision_pc.core.odometry.motion_prior import ArmHistory, ArmPrior
 from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array

@@ -19,8 +19,7 @@ from vision_pc.core.odometry.rolling import (
     TakenOut,
     motions,
 )
-from vision_pc.core.odometry.segments import SegmentedOdometry
-from vision_pc.core.odometry.straightening import straightened
+from vision_pc.core.odometry.segments import SegmentedOdometry, straightened
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel, PointPairs, StereoPair

@@ -9,8 +9,7 @@ from tests.vision_pc.rendering import wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.odometry.segments import SegmentedOdometry
-from vision_pc.core.odometry.way_error import WayError
+from vision_pc.core.odometry.segments import SegmentedOdometry, WayError
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 

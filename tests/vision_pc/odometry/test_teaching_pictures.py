@@ -3,7 +3,7 @@
 import numpy as np
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes.teaching_pictures import TeachingPictures
+from vision_pc.core.odometry.keyframes.keyframe import TeachingPictures
 from vision_pc.core.se3 import Array
 
 POINTS = np.array([[0.2, 0.1, 1.4], [-0.3, 0.0, 1.5], [0.0, 0.2, 1.6]])

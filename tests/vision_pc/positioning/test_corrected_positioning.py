@@ -9,7 +9,6 @@ from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
 from vision_pc.config.programs import LocalErrorModelSettings
-from vision_pc.core.calibration.backlash import backlash_sides, slew_angles
 from vision_pc.core.calibration.local_error_model import (
     fit_error_model,
     record_local_track,
@@ -19,6 +18,7 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
+from vision_pc.core.calibration.take_up import backlash_sides, slew_angles
 from vision_pc.core.positioning.corrected_positioning import look_then_move_corrected
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import WatchSample

@@ -11,7 +11,6 @@ from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inve
 from vision_pc.application.results import positioning_json
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
-from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import (
     fit_error_model,
     record_local_track,
@@ -19,7 +18,7 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.calibration.take_up import first_take_up, move_with_take_up, widened_by_sight
+from vision_pc.core.calibration.take_up import first_take_up, move_with_take_up, slew_lever, widened_by_sight
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import (
     CorrectedResult,
@@ -27,9 +26,9 @@ from vision_pc.core.positioning.corrected_positioning import (
     look_then_move_corrected,
 )
 from vision_pc.core.positioning.look_then_move import Ended
-from vision_pc.core.positioning.predicted_end import end_by_look
-from vision_pc.core.positioning.servo_residual import (
+from vision_pc.core.positioning.predicted_end import (
     after_corrections,
+    end_by_look,
     expected_residual,
     worth_correcting,
 )

@@ -6,7 +6,6 @@ import pytest
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
 from vision_pc.config.programs import LocalErrorModelSettings
-from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import (
     LocalTrack,
     fit_error_model,
@@ -14,6 +13,7 @@ from vision_pc.core.calibration.local_error_model import (
     solve_step,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
+from vision_pc.core.calibration.take_up import slew_lever
 from vision_pc.core.positioning.predicted_end import PlannedStep, predicted_end
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoOffset

@@ -11,7 +11,7 @@ import pytest
 
 from tests.vision_pc.shell.problems import refused
 from tests.vision_pc.synthetic_station import Bench
-from vision_pc.shell.rest import operations, waiting
+from vision_pc.shell.rest import operation_routes, operations
 
 pytestmark = pytest.mark.realtime
 
@@ -47,7 +47,7 @@ async def test_waiting_ends_with_its_time_and_the_operation_goes_on(station: Ben
         (["respond-async, wait=10"], 10),
         (["handling=lenient", 'Wait = "5" ; x=1'], 5),
         (["wait=2, wait=9"], 2),
-        (["wait=99999999"], waiting.MAX_WAIT_S),
+        (["wait=99999999"], operation_routes.MAX_WAIT_S),
         (["wait=-1"], None),
         (["wait=1.5"], None),
         (["wait"], None),
@@ -56,13 +56,13 @@ async def test_waiting_ends_with_its_time_and_the_operation_goes_on(station: Ben
     ],
 )
 def test_the_header_is_read_as_the_rfc_has_it(fields: list[str], wait_s: int | None) -> None:
-    assert waiting.preferred_wait_s(fields) == wait_s
+    assert operation_routes.preferred_wait_s(fields) == wait_s
 
 
 async def test_who_finds_no_place_to_wait_is_answered_at_once(
     station: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(waiting, "MAX_WAITING", 0)
+    monkeypatch.setattr(operation_routes, "MAX_WAITING", 0)
     answer = await station.post("/operations/look", Prefer="wait=60")
     assert answer.status_code == 202
     assert "Preference-Applied" not in answer.headers

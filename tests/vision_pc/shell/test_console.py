@@ -15,8 +15,7 @@ from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FaultCode
 from tests.vision_pc.shell.rest_server import served_bench
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.rest.console.broadcast import Broadcast
-from vision_pc.shell.rest.console.pictures import HEADER, message
+from vision_pc.shell.rest.console.routes import HEADER, Broadcast, message
 
 LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
 WITHIN_S = 30.0

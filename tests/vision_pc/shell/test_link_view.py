@@ -16,9 +16,9 @@ from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, draw
 from tests.vision_pc.synthetic_station import bench
 from vision_pc.config.vision import LinkSettings
+from vision_pc.shell.camera_eyes import MonotonicClock
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
-from vision_pc.shell.rest.link_view import LinkCounters, link_view
+from vision_pc.shell.rest.state_view import LinkCounters, link_view
 
 pytestmark = pytest.mark.realtime
 

@@ -17,8 +17,8 @@ from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array
+from vision_pc.shell.camera_eyes import MonotonicClock
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
-from vision_pc.shell.monotonic_clock import MonotonicClock
 
 pytestmark = pytest.mark.realtime
 

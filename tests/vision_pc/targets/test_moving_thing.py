@@ -8,7 +8,7 @@ import pytest
 
 from tests.vision_pc.rendering import facing
 from tests.vision_pc.targets.wall_scene import rock, scene
-from vision_pc.core.targets.moving_thing import refuse_moved
+from vision_pc.core.targets.keeper import refuse_moved
 from vision_pc.core.targets.target import TargetRefused
 
 AT = np.array([500.0, 300.0])

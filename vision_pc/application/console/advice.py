@@ -1,5 +1,69 @@
 """What to do about a cause: one sentence for the person who has to."""
 
+import itertools
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nominal_arm.dimensions import DhLink
+from vision_pc.core.se3 import Array
+
+
+def skeleton(links: tuple[DhLink, ...], q: tuple[float, ...]) -> Array:
+    """Points (n + 1, 3) in B, m: the base's origin, then that of each link's frame; the last is the TCP.
+
+    ``q`` (rad) are the joints; links beyond them stand still. Each link is Rz(θ) Tz(d) Tx(a) Rx(α)
+    (Mäkinen et al. 2023, Table 1).
+    """
+    X = np.eye(4)
+    points = [X[:3, 3].copy()]
+    for index, link in enumerate(links):
+        X = X @ _link(link, q[index] if index < len(q) else 0.0)
+        points.append(X[:3, 3].copy())
+    return np.array(points)
+
+
+def _link(link: DhLink, q: float) -> Array:
+    theta = q + link.theta_offset
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(link.alpha), np.sin(link.alpha)
+    return np.array(
+        [
+            [c, -s * ca, s * sa, link.a * c],
+            [s, c * ca, -c * sa, link.a * s],
+            [0.0, sa, ca, link.d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+_MOVING_S = 0.5
+_AT_REST_S = 2.5  # somebody may still walk into the picture
+_MOVED_RAD = 2e-3  # a joint: more than valves leak in a second
+
+
+class MeasuringPace:
+    """Twice a second while the arm moves, seldom at rest, where nothing changes that joints tell of."""
+
+    def __init__(self) -> None:
+        self._last_s = -np.inf
+        self._joints_rad: NDArray[np.float64] | None = None
+
+    def due(self, now_s: float, joints_rad: NDArray[np.float64] | None) -> bool:
+        """Whether to measure now; if so, that counts as done. ``joints_rad`` (n,) is None while unknown."""
+        rests = (
+            joints_rad is not None
+            and self._joints_rad is not None
+            and bool(np.all(np.abs(joints_rad - self._joints_rad) < _MOVED_RAD))
+        )
+        if now_s - self._last_s < (_AT_REST_S if rests else _MOVING_S):
+            return False
+        self._last_s, self._joints_rad = now_s, joints_rad
+        return True
+
+
 _OF_CAUSE = {
     "fault.plant_link_lost": "Look after the fieldbus and the plant; then reset and enable.",
     "fault.plant_cycle_frozen": "The plant stands still: start it anew, then reset and enable.",
@@ -129,3 +193,69 @@ _ELSE = "See the event log of the vision PC."
 def advice(cause: str) -> str:
     """What to do about ``cause``; of a cause without a sentence of its own, that of its area."""
     return _OF_CAUSE.get(cause) or _OF_AREA.get(cause.partition(".")[0], _ELSE)
+
+
+URGENT, HIGH, LOW = 1, 2, 3  # at once; soon; when there is time
+_KEPT = 100
+
+
+class Condition(NamedTuple):
+    """Something that is wrong at present. ``priority``: URGENT, HIGH or LOW."""
+
+    priority: int
+    detail: str
+
+
+class Alarm(NamedTuple):
+    """One alarm. Times are seconds since 1970; ``ended_s`` is None while it lasts."""
+
+    number: int
+    cause: str
+    priority: int
+    detail: str
+    began_s: float
+    ended_s: float | None
+
+
+class AlarmList:
+    """The newest alarms, active and ended, bounded in number."""
+
+    def __init__(self) -> None:
+        self._active: dict[str, Alarm] = {}
+        self._ended: deque[Alarm] = deque(maxlen=_KEPT)
+        self._numbers = itertools.count(1)
+
+    def update(self, now_s: float, conditions: Mapping[str, Condition]) -> None:
+        """Take note of all that is wrong at ``now_s``, by cause; what is missing has ended."""
+        for cause in [cause for cause in self._active if cause not in conditions]:
+            self._ended.appendleft(self._active.pop(cause)._replace(ended_s=now_s))
+        for cause, (priority, detail) in conditions.items():
+            known = self._active.get(cause)
+            if known is None:
+                number = next(self._numbers)
+                self._active[cause] = Alarm(number, cause, priority, detail, now_s, None)
+            else:
+                self._active[cause] = known._replace(priority=priority, detail=detail)
+
+    def happened(self, now_s: float, cause: str, detail: str, priority: int = LOW) -> None:
+        """Take note of what was over as soon as it had happened, such as an operation that failed."""
+        self._ended.appendleft(Alarm(next(self._numbers), cause, priority, detail, now_s, now_s))
+
+    @property
+    def rows(self) -> list[Alarm]:
+        """The active ones, the most urgent and then the newest first; then those that ended, newest first."""
+        active = sorted(self._active.values(), key=lambda alarm: (alarm.priority, -alarm.number))
+        return [*active, *self._ended]
+
+
+def alarm_json(alarm: Alarm) -> dict[str, Any]:
+    """An alarm with what to do about it."""
+    return {
+        "number": alarm.number,
+        "cause": alarm.cause,
+        "priority": alarm.priority,
+        "detail": alarm.detail,
+        "advice": advice(alarm.cause),
+        "began_at": alarm.began_s,
+        "ended_at": alarm.ended_s,
+    }

@@ -9,9 +9,8 @@ from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
 from protocol.reference_messages import FLAG_PLANT_LINK_OK, State
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.console.alarms import HIGH, LOW, URGENT, AlarmList, Condition, alarm_json
+from vision_pc.application.console.advice import HIGH, LOW, URGENT, AlarmList, Condition, alarm_json, skeleton
 from vision_pc.application.console.overlay import ToldEllipse, overlay
-from vision_pc.application.console.skeleton import skeleton
 from vision_pc.application.ports import CameraStatus, Seen
 from vision_pc.application.results import JSON, JudgedLook, calibration_json, look_json, pose_json
 from vision_pc.core.calibration.local_calibration import LocalCalibration

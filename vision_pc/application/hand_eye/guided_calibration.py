@@ -10,12 +10,19 @@ import numpy as np
 
 from nominal_arm.dimensions import Dimensions
 from protocol.errors import MeasurementFailed, RequestRefused
-from vision_pc.application.hand_eye.driving import back_to_start, ended_in_fault, impossible
 from vision_pc.application.hand_eye.responses import check_json, sample_json
-from vision_pc.application.hand_eye.sensing import HandEyeSight, Pictures, States
+from vision_pc.application.hand_eye.sensing import (
+    HandEyeSight,
+    Pictures,
+    States,
+    back_to_start,
+    ended_in_fault,
+    impossible,
+)
 from vision_pc.application.hand_eye.steps import (
     HandArrival,
     NextPose,
+    SessionStore,
     SolvedSession,
     StartCheck,
     TakenSample,
@@ -25,7 +32,6 @@ from vision_pc.application.hand_eye.steps import (
     solved,
     verdict_of,
 )
-from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.ports import Log, StoppableArm
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig

@@ -5,20 +5,59 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from protocol.errors import MeasurementFailed
+from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.reference_messages import State
-from vision_pc.application.hand_eye.store import load_drawing
+from vision_pc.application.hand_eye.steps import load_drawing
 from vision_pc.application.ports import StoppableArm
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.hand_eye.guided import target
 from vision_pc.core.hand_eye.guided.cabinet import CabinetLocator, Located
+from vision_pc.core.hand_eye.guided.session import Session
 from vision_pc.core.hand_eye.guided.target import TargetLook
 from vision_pc.core.perception.intrinsics import calibration, with_offset
 from vision_pc.core.perception.look import observe
-from vision_pc.core.ports import ArmView, Photographer
+from vision_pc.core.ports import Arm, ArmView, Photographer
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation, StereoPair
+
+_IMPOSSIBLE = {
+    f"refused.{reason}"
+    for reason in (
+        "outside_workspace", "joint_limit", "unreachable", "singular", "too_fast", "too_far",
+        "fault_joint_limit", "fault_workspace_limit", "fault_following_error",
+    )
+}  # fmt: skip
+
+
+def impossible(error: RequestRefused) -> bool:
+    """Whether the pose is not to be tried again: it was refused for its way, or the way ended in a fault."""
+    return error.cause in _IMPOSSIBLE
+
+
+def ended_in_fault(error: RequestRefused) -> bool:
+    """Whether the arm has come to rest by a fault, and moves again only after RESET and ENABLE."""
+    return error.cause.startswith("refused.fault_")
+
+
+async def back_to_start(arm: Arm, session: Session) -> ArmView:
+    """The view at the session's starting pose: straight there, or over its samples, the newest first.
+
+    What led to a sample leads back from it, where the straight way would turn the wrist through its limits.
+    Raises RequestRefused with what the controller said last.
+    """
+    start = session.around.X_BT_start
+    for sample in (None, *reversed(session.samples)):
+        try:
+            if sample is not None:
+                await arm.move_to(sample.X_BT)
+            return await arm.move_to(start)
+        except RequestRefused as error:
+            if not impossible(error) or ended_in_fault(error):
+                raise
+            refusal = error
+    raise refusal
+
 
 T = TypeVar("T")
 

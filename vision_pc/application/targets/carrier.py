@@ -1,14 +1,85 @@
 """What goes along with every look and watch of the eyes, so that clicked targets stay known."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+import numpy as np
+
 from vision_pc.application.ports import StateSource
-from vision_pc.application.targets.aimed_sensor import AimedSensor
+from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import TargetKeeper
-from vision_pc.core.types import Look, WatchSample
+from vision_pc.core.targets.known_target import again
+from vision_pc.core.targets.sighting import KnownTarget, Sighted
+from vision_pc.core.targets.target import TargetRefused
+from vision_pc.core.types import CameraErrors, FrameObservation, Look, StereoPair, WatchSample
+
+_NOISE = 1e-8  # m², rad²
+_OWN = 0.1  # share of a carried pose's covariance that may differ from frames that do show the target
+
+
+class AimedSensor:
+    """Implements ``vision_pc.core.perception.watch.Sensor``: programs get the target as their object.
+
+    ``resting``: the arm stands where the target's place is known; what cannot be seen there is where it was
+    carried. Otherwise what is not seen is missing. ``measured`` counts the frames that showed it.
+    """
+
+    def __init__(self, config: VisionConfig, targets: TargetKeeper) -> None:
+        self._pixels = PixelSensor(config)
+        self._config = config
+        self._targets = targets
+        self.camera = self._pixels.camera
+        self.resting = False
+        self.measured = 0
+        self.why = ""
+
+    def observe(self, frame: StereoPair, previous: FrameObservation | None) -> FrameObservation:
+        """Tool and object of interest in this pair; the object is the target that is aimed at."""
+        kept = self._targets.aimed
+        if kept is None:
+            return self._pixels.observe(frame, previous)
+        before = None if previous is None else previous._replace(X_CO=None)
+        seen = self._pixels.observe(frame, before)
+        X = kept.X_CO if self.resting or previous is None or previous.X_CO is None else previous.X_CO
+        known = kept.believed._replace(X_CO=X)
+        try:
+            found = again(self.sighted(frame, seen), known)
+        except TargetRefused as refused:
+            self.why = refused.cause
+            return self._carried(seen, known) if self.resting else _with(seen, None, None, None)
+        self.measured += 1
+        return _with(seen, found.X_CO, found.covariance, found.bias)
+
+    def sighted(self, pair: StereoPair, observation: FrameObservation) -> Sighted:
+        """The pair for who measures targets in it."""
+        return Sighted(pair, self.camera, observation, self._config.markers, self._config.targets)
+
+    def odometry(self, previous: FrameObservation | None) -> StereoOdometry:
+        """As ``PixelSensor``."""
+        return self._pixels.odometry(previous)
+
+    def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
+        """As ``PixelSensor``."""
+        return self._pixels.errors(samples)
+
+    def plain(self, frame: StereoPair, previous: FrameObservation | None) -> FrameObservation:
+        """Tool and object's markers, whatever is aimed at."""
+        return self._pixels.observe(frame, previous)
+
+    def _carried(self, seen: FrameObservation, known: KnownTarget) -> FrameObservation:
+        noise = _OWN * known.covariance + _NOISE * np.eye(6)
+        return _with(seen, known.X_CO, known.covariance + noise, known.covariance)
+
+
+def _with(
+    seen: FrameObservation, X: Array | None, covariance: Array | None, bias: Array | None
+) -> FrameObservation:
+    missing = "not_seen" if X is None else None
+    return seen._replace(X_CO=X, cov_CO=covariance, bias_CO=bias, missing_object=missing)
 
 
 class TargetCarrier:

@@ -16,14 +16,16 @@ from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
-from vision_pc.core.calibration.backlash import (
+from vision_pc.core.calibration.camera_at_rest import at_rest, begun_at, tracked
+from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
+from vision_pc.core.calibration.take_up import (
+    TakeUp,
     backlash_sides,
+    first_take_up,
+    move_with_take_up,
     slew_angles,
     slew_lever,
 )
-from vision_pc.core.calibration.camera_at_rest import at_rest, begun_at, tracked
-from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
-from vision_pc.core.calibration.take_up import TakeUp, first_take_up, move_with_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample

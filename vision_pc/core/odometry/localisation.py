@@ -10,9 +10,8 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, pose_spread, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
-from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, TeachingPictures
 from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
-from vision_pc.core.odometry.keyframes.teaching_pictures import TeachingPictures
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice
 from vision_pc.core.odometry.motion_prior import Foreseen

@@ -5,7 +5,7 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry import pair_faults, patches, tracking
+from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
@@ -18,6 +18,33 @@ from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, Image
+
+_MOST = 0.8
+_WINDOW_PX = 31  # wider than odometry's own: nothing is known of where to look
+
+
+def fault(frame: Frame, settings: OdometrySettings) -> str:
+    """``bad_rectification: …``, ``swapped_eyes: …`` with what was found, else ``no_texture``."""
+    left, right = frame.pair.left, frame.pair.right
+    pixels = tracking.features(left, frame.left_static, np.zeros((0, 2)), settings)
+    if len(pixels) < settings.minimum_inliers:
+        return "no_texture"
+    wide = settings.model_copy(update={"window_px": _WINDOW_PX, "pyramid_levels": 6})
+    found = tracking.track(left, right, pixels, pixels.copy(), wide)
+    if int(found.good.sum()) < settings.minimum_inliers:
+        return "no_texture"
+    moved: Array = found.points[found.good] - pixels[found.good]
+    rows, columns = np.median(moved, axis=0)[::-1]
+    spread = 1.4826 * float(np.median(np.abs(moved[:, 1] - rows)))
+    if abs(rows) > max(settings.row_error_px, spread):  # matches in noise spread wider than they are off
+        return (
+            f"bad_rectification: right rows {rows:+.1f} px off, spread {spread:.1f} px, {len(moved)} points"
+        )
+    backwards = int((moved[:, 0] > settings.least_disparity_px).sum())
+    if columns > 0.0 and backwards > _MOST * len(moved):
+        return f"swapped_eyes: {backwards} of {len(moved)} points farther right in the right picture"
+    return "no_texture"
+
 
 _COARSE = 4  # the coarse disparity is sought in pictures this much smaller
 _COARSE_DISPARITIES = 64
@@ -47,7 +74,7 @@ class Mapper:
         """
         points_C, pixels, right_rays, stds = self._new_points(frame, np.zeros((0, 2)))
         if len(pixels) < self._settings.minimum_inliers:
-            return pair_faults.fault(frame, self._settings)
+            return fault(frame, self._settings)
         ids = self._map.add_points(X_C0C, points_C, np.hypot(self._settings.noise_px, stds[1]))
         self._map.initialise_scale(ids)
         estimate = PoseEstimate(

@@ -5,18 +5,17 @@ import numpy as np
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
-from vision_pc.core.odometry.arm_motion import ArmHistory
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.localisation import Localiser
 from vision_pc.core.odometry.mapping import Mapper
-from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, MotionHistory
+from vision_pc.core.odometry.motion_prior import UNDECIDED, ArmHistory, Foreseen, MotionHistory
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
 from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import SharedOffset
-from vision_pc.core.odometry.smoothing import is_noisy, smoothed
+from vision_pc.core.odometry.tracking import is_noisy, smoothed
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair

@@ -20,7 +20,7 @@ from foundation.compiled import kernel
 from vision_pc.config.vision import CalibrationDoubts, MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
-from vision_pc.core.perception.camera_correction import corrected, prior_stds
+from vision_pc.core.perception.intrinsics import corrected, prior_stds
 from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.perception.object_of_interest import marker_in_object
 from vision_pc.core.se3 import Array

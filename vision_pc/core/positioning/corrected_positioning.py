@@ -38,9 +38,11 @@ from vision_pc.core.positioning.predicted_end import (
     PlannedStep,
     end_by_look,
     end_by_odometry,
+    expected_residual,
     predicted_end,
+    servo_spread,
+    worth_correcting,
 )
-from vision_pc.core.positioning.servo_residual import expected_residual, servo_spread, worth_correcting
 from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 

@@ -7,7 +7,7 @@ import numpy as np
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets import row_matching
-from vision_pc.core.targets.hole_search import dark_spots
+from vision_pc.core.targets.circle_hole import dark_spots
 from vision_pc.core.targets.measuring import measured_hole
 from vision_pc.core.targets.place_on_plane import on_plane, plane_at
 from vision_pc.core.targets.sighting import KnownTarget, Sighted, region, visible

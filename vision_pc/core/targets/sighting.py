@@ -5,11 +5,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from vision_pc.config.targets import TargetSettings
+from vision_pc.config.programs import TargetSettings
 from vision_pc.config.vision import MarkerSettings
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
-from vision_pc.core.perception.camera_correction import as_believed
+from vision_pc.core.perception.intrinsics import as_believed
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets import row_matching
 from vision_pc.core.targets.target import Kind, TargetRefused

@@ -12,7 +12,7 @@ from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception.frozen_pictures import FrozenPictures
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
 from vision_pc.core.types import Image, StereoPair
-from vision_pc.shell.monotonic_clock import MonotonicClock
+from vision_pc.shell.camera_eyes import MonotonicClock
 
 _JOIN_S = 1.0
 

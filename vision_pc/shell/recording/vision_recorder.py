@@ -40,7 +40,7 @@ from vision_pc.core.types import (
 from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_pictures as pictures
-from vision_pc.shell.recording.recorded_sensor import RecordedSensor
+from vision_pc.shell.recording.recorded_ports import RecordedSensor
 
 FILE = "vision.mcap"
 EYES, SIMULATED = "eyes", "simulated"  # in the metadata `session`, where there were no pictures

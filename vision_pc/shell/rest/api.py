@@ -1,6 +1,8 @@
 """The REST API: state, looks, commands, and every long step as an operation resource."""
 
-from collections.abc import Awaitable, Callable, Sequence
+import math
+import time
+from collections.abc import Awaitable, Callable, Collection, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -13,6 +15,7 @@ from foundation.rest.home import Home, run_endpoints_at
 from foundation.rest.problems import MEDIA_TYPE, problem
 from foundation.rest.refusals import respond
 from foundation.rest.server import install_problems
+from protocol.errors import RequestRefused
 from protocol.faults import CommandCode
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice
@@ -21,16 +24,50 @@ from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON, calibration_json, look_json, seen_json
-from vision_pc.shell.rest.asked_lately import asked_lately
 from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
-from vision_pc.shell.rest.link_view import LinkView, link_view
 from vision_pc.shell.rest.metrics import add_metrics
 from vision_pc.shell.rest.operation_routes import add_programs, add_resources, add_unknown
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
-from vision_pc.shell.rest.state_view import state_json
+from vision_pc.shell.rest.state_view import LinkView, link_view, state_json
 from vision_pc.shell.rest.target_routes import add_targets
+
+SHOWN = "longreach-shown"
+MOST_S = 5.0  # a busy machine has answered within 2 s
+_JUDGED = frozenset({"POST", "PUT", "PATCH"})  # DELETE forgets, whenever it comes
+
+
+def asked_lately(stops: Collection[str]) -> Callable[[Request], Awaitable[None]]:
+    """A dependency that raises RequestRefused for a request that its header ``Longreach-Shown`` dates back.
+
+    The header is the ``time`` (s) of the snapshot that the console showed, on this machine's own clock.
+    Causes: ``refused.asked_too_late`` after ``MOST_S``, ``request.bad_header`` for what is no time. Who sends
+    none is not judged, nor are the paths ``stops`` and the end of an operation.
+    """
+
+    async def judge(request: Request) -> None:
+        shown, path = request.headers.get(SHOWN), request.url.path
+        if shown is None or request.method not in _JUDGED or path in stops or path.endswith("/cancel"):
+            return
+        age_s = time.time() - _seconds(shown)
+        if abs(age_s) > MOST_S:
+            why = f"asked of what was shown {age_s:.1f} s ago, at most {MOST_S:g} s: nothing was done"
+            raise RequestRefused("refused.asked_too_late", why)
+
+    return judge
+
+
+def _seconds(shown: str) -> float:
+    try:
+        seconds = float(shown)
+    except ValueError:
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        why = f"Longreach-Shown: {shown[:40]!r} is no time; wanted the snapshot's, in seconds"
+        raise RequestRefused("request.bad_header", why)
+    return seconds
+
 
 STOPS = ("/stop", "/disable", "/emergency-stop")  # whoever may look may stop
 PUBLIC = PAGE.paths  # the console asks for the token itself

@@ -9,8 +9,7 @@ from foundation.live.metrics import MEDIA_TYPE, Figure, counters, exposition
 from protocol.channel import LinkStatistics
 from protocol.errors import RequestRefused
 from vision_pc.application.application import VisionApplication
-from vision_pc.shell.rest.link_view import link_view
-from vision_pc.shell.rest.state_view import arm_json
+from vision_pc.shell.rest.state_view import arm_json, link_view
 
 _OF_THE_CONTROLLER = (
     "cycle",

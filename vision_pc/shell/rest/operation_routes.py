@@ -1,21 +1,109 @@
 """Routes of the operation resources: starting every program, reading, cancelling, and following as events."""
 
+import asyncio
+import re
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from http import HTTPStatus
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import Body, Depends, FastAPI, Header, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.errors import RequestRefused
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.program import Program
-from vision_pc.shell.rest.operation_view import OperationView, operation_view
+from vision_pc.application.results import JSON
 from vision_pc.shell.rest.operations import Operation, Operations
-from vision_pc.shell.rest.waiting import Waiting, preferred_wait_s
+
+MAX_WAIT_S = 3600
+MAX_WAITING = 64  # as of those who follow; who comes then is answered at once
+_WAIT = re.compile(r'(?:^|,)\s*wait\s*=\s*"?(\d{1,9})"?\s*(?:[;,]|$)', re.IGNORECASE)
+
+
+def preferred_wait_s(fields: Iterable[str]) -> int | None:
+    """The first ``wait`` of the header's fields, at most ``MAX_WAIT_S``; None where there is none.
+
+    What is not understood is ignored, as the RFC wants it.
+    """
+    found = _WAIT.search(",".join(fields))
+    return None if found is None else min(int(found[1]), MAX_WAIT_S)
+
+
+class Waiting:
+    """Those who wait at present."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    async def for_end(self, operation: Operation, wait_s: int) -> bool:
+        """Whether there was a place to wait at: until ``operation`` has ended, or ``wait_s`` have passed."""
+        if self._count >= MAX_WAITING:
+            return False
+        self._count += 1
+        try:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(wait_s):
+                    seen = -1
+                    while not operation.state.ended:
+                        seen = await operation.changed(seen)
+        finally:
+            self._count -= 1
+        return True
+
+
+_OPERATION_EXAMPLE: JSON = {
+    "id": "5f0c2a9be1d4",
+    "kind": "look-then-move",
+    "state": "succeeded",
+    "progress": 1.0,
+    "note": "reached: error +0.5 +0.2 -1.0 mm, inside 5 mm",
+    "notes": [[0.0, "looking"], [0.23, "look 1: error -328.8 -65.0 +552.2 mm, outside 5 mm"]],
+    "request": {"method": "calibrated", "inputs": 1},
+    "created_at": 1.7e9,
+    "started_at": 1.7e9,
+    "ended_at": 1.700000012e9,
+    "result": {
+        "error_mm": {"x": 0.47, "y": 0.23, "z": -0.98},
+        "std_mm": {"x": 0.2, "y": 0.2, "z": 0.6},
+        "tolerance_mm": 5.0,
+        "verdict": "inside",
+        "certain": True,
+        "ended": "reached",
+    },
+    "problem": None,
+}
+
+
+class OperationView(BaseModel):
+    """An operation resource. ``result`` once it has succeeded, ``problem`` (RFC 9457) once it has failed."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [_OPERATION_EXAMPLE]})
+
+    id: str
+    kind: str
+    state: Literal["queued", "running", "succeeded", "failed", "cancelled"]
+    progress: float = Field(ge=0.0, le=1.0)
+    note: str
+    notes: list[tuple[float, str]]
+    request: JSON
+    created_at: float
+    started_at: float | None
+    ended_at: float | None
+    result: JSON | None
+    problem: JSON | None
+
+
+def operation_view(operation: Operation) -> OperationView:
+    """The resource of an operation. Times are seconds since 1970."""
+    fields = {name: getattr(operation, name) for name in OperationView.model_fields}
+    return OperationView.model_construct(  # validated by the loop that answers, not by the one that runs it
+        **fields | {"state": operation.state.value, "notes": list(operation.notes)}
+    )
+
 
 MAX_FOLLOWERS = 64  # 400 cost the link nothing, 1,000 its session
 _KEY_LIVES = (

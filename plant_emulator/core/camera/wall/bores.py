@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
 from plant_emulator.config.surroundings import DrillHoleConfig, WallConfig
-from plant_emulator.core.camera.lens import Lens
 from plant_emulator.core.camera.plates import ray_to_plane
 from plant_emulator.core.camera.rasteriser import share_below
-from plant_emulator.core.camera.rays import Rays, meet_plate, row_homography, shaded
+from plant_emulator.core.camera.rays import Lens, Rays, meet_plate, row_homography, shaded
 from plant_emulator.core.camera.wall.wall_painter import relief_height
 from plant_emulator.core.camera.wall.wall_texture import SIZE
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
-from plant_emulator.config.lighting import GlareConfig
+from plant_emulator.config.camera import GlareConfig
 from plant_emulator.config.surroundings import BarePatchConfig
-from plant_emulator.core.camera.lens import Lens
-from plant_emulator.core.camera.lighting import glare_on
-from plant_emulator.core.camera.rays import Rays, highlight, meet_plate, row_homography
+from plant_emulator.core.camera.rays import Lens, Rays, highlight, meet_plate, row_homography
+from plant_emulator.core.camera.surroundings import glare_on
 from plant_emulator.core.camera.wall.bores import View
 
 Grey = NDArray[np.uint8]

@@ -9,8 +9,7 @@ import numpy as np
 from protocol.errors import MeasurementFailed, RequestRefused
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import LookSettings, MarkerSettings, ObjectMarkerSettings
-from vision_pc.core.perception.look import observe
-from vision_pc.core.perception.pose_statistics import robust_mean
+from vision_pc.core.perception.look import observe, robust_mean
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, Image, StereoPair
 

@@ -10,13 +10,59 @@ point's depth enters as a view of its own, in the keyframe that first showed it.
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes import normal_equations
-from vision_pc.core.odometry.keyframes.normal_equations import Blocks
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraModel
+
+
+class Blocks(NamedTuple):
+    """Normal equations: poses H (k, 6, 6) b (k, 6), points V (m, 3, 3) c (m, 3), mixed W (k, m, 6, 3)."""
+
+    H: Array
+    b: Array
+    V: Array
+    c: Array
+    W: Array
+
+
+def summation(group: NDArray[np.int64], groups: int) -> scipy.sparse.csr_array:
+    """The matrix that sums rows by their ``group`` (n,)."""
+    ones, rows = np.ones(len(group)), np.arange(len(group))
+    return scipy.sparse.csr_array((ones, (group, rows)), shape=(groups, len(group)))
+
+
+def summed(summation: scipy.sparse.csr_array, values: Array) -> Array:
+    """Blocks ``values`` (n, ...) summed by group (groups, ...)."""
+    return np.asarray(summation @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+
+def _damped(blocks: Array, damping: float) -> Array:
+    """Blocks (n, d, d), their diagonals raised by a share; one where nothing is known: they are solved."""
+    eye = np.eye(blocks.shape[1])
+    diagonal = np.einsum("nij,ij->nij", blocks, eye)
+    return np.asarray(blocks + damping * diagonal + (eye != 0.0) * (diagonal == 0.0))
+
+
+def step(blocks: Blocks, damping: float) -> tuple[Array, Array]:
+    """Moves of the free poses (k, 6) and of the points (m, 3): points eliminated, then put back.
+
+    What no view tells of stays where it is.
+    """
+    free, count = blocks.W.shape[:2]
+    V, H = _damped(blocks.V, damping), _damped(blocks.H, damping)
+    eliminated = blocks.W @ np.linalg.inv(V)  # (k, m, 6, 3)
+    flat = eliminated.transpose(0, 2, 1, 3).reshape(6 * free, 3 * count)
+    mixed = blocks.W.transpose(0, 2, 1, 3).reshape(6 * free, 3 * count)
+    S = -flat @ mixed.T
+    for k in range(free):
+        S[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += H[k]
+    poses = np.linalg.solve(S, blocks.b.ravel() - flat @ blocks.c.ravel())
+    points = np.linalg.solve(V, (blocks.c.ravel() - mixed.T @ poses).reshape(count, 3, 1))[..., 0]
+    return np.asarray(poses.reshape(free, 6)), np.asarray(points)
+
 
 _ROUNDS = 6
 _DAMPING = (1e-6, 1e4)  # first, and the one at which nothing better is thought to be near
@@ -80,7 +126,7 @@ def adjusted(
     for _ in range(_ROUNDS):
         blocks = linear.blocks(X_CC0, points)
         while damping < _DAMPING[1]:
-            turned, moved = normal_equations.step(blocks, damping)
+            turned, moved = step(blocks, damping)
             tried = X_CC0.copy()
             for k, twist in enumerate(turned, problem.fixed):
                 tried[k] = se3.transform(se3.exp_so3(twist[3:]), twist[:3]) @ X_CC0[k]
@@ -112,7 +158,7 @@ def shared_offset(
     """
     linear = _Linearisation(problem, eyes, noise_px, huber_px)
     alone, blocks, missed = linear.with_offset(problem.X_CC0, problem.points)
-    taken = normal_equations.step(blocks, _UNDAMPED)
+    taken = step(blocks, _UNDAMPED)
     taken_by = float((blocks.b * taken[0]).sum() + (blocks.c * taken[1]).sum())
     given = linear.blocks(problem.X_CC0, problem.points)
     explained = float((given.b * taken[0]).sum() + (given.c * taken[1]).sum())
@@ -137,7 +183,7 @@ def moved_by_offset(
     """
     linear = _Linearisation(problem, eyes, *px)
     missed = linear.offset() - linear.gone(problem.X_CC0, problem.points, drifts)
-    return normal_equations.step(linear.blocks(problem.X_CC0, problem.points, missed), _UNDAMPED)
+    return step(linear.blocks(problem.X_CC0, problem.points, missed), _UNDAMPED)
 
 
 class _Linearisation:
@@ -156,9 +202,9 @@ class _Linearisation:
         self._point = np.concatenate([views.point, depths.point])
         self._moves = np.flatnonzero(self._camera >= problem.fixed)
         camera, point = self._camera[self._moves] - problem.fixed, self._point[self._moves]
-        self._of_camera = normal_equations.summation(camera, free)
-        self._of_pair = normal_equations.summation(camera * points + point, free * points)
-        self._of_point = normal_equations.summation(self._point, points)
+        self._of_camera = summation(camera, free)
+        self._of_pair = summation(camera * points + point, free * points)
+        self._of_point = summation(self._point, points)
         self._noise_px = np.hypot(noise_px, views.stds)
         self._scale = np.array([eye.K[0, 0] for eye in eyes])[views.eye] / self._noise_px
         self._X_EC = np.stack([se3.inverse(eye.X_CE) for eye in eyes])[views.eye]
@@ -209,12 +255,12 @@ class _Linearisation:
         moves, count = self._moves, len(points)
         by_point = np.swapaxes(weights[:, None, None] * to_point, 1, 2)
         by_pose = np.swapaxes(weights[moves, None, None] * to_pose[moves], 1, 2)
-        W = normal_equations.summed(self._of_pair, by_pose @ to_point[moves])
+        W = summed(self._of_pair, by_pose @ to_point[moves])
         return Blocks(
-            normal_equations.summed(self._of_camera, by_pose @ to_pose[moves]),
-            normal_equations.summed(self._of_camera, np.einsum("nij,nj->ni", by_pose, errors[moves])),
-            normal_equations.summed(self._of_point, by_point @ to_point),
-            normal_equations.summed(self._of_point, np.einsum("nij,nj->ni", by_point, errors)),
+            summed(self._of_camera, by_pose @ to_pose[moves]),
+            summed(self._of_camera, np.einsum("nij,nj->ni", by_pose, errors[moves])),
+            summed(self._of_point, by_point @ to_point),
+            summed(self._of_point, np.einsum("nij,nj->ni", by_point, errors)),
             W.reshape(-1, count, 6, 3),
         )
 

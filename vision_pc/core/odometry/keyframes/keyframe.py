@@ -6,10 +6,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision_pc.core import se3
+from vision_pc.core.odometry.keyframes.bundle_adjustment import Views
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
+
+_ELSEWHERE = 0.01  # of the way to what is seen, or rad: a base that rocks by a millimetre leaves no place
+
+
+class TeachingPictures:
+    """Counts the pictures of a place; ``a_place`` of them teach, 0: all do.
+
+    Pictures from one place show the same disparities again. Their noise averages out in a few; what all
+    points share does not, and as the camera warms it walks: learnt from on and on, it would stretch the map,
+    and with it the way that the camera has come.
+    """
+
+    def __init__(self, a_place: int) -> None:
+        self._a_place = a_place
+        self._X_C0C = se3.identity()
+        self._keyframes = self._taken = 0
+
+    def teaches(self, X_CC0: Array, points: Array, keyframes: int) -> bool:
+        """Whether one more picture at ``X_CC0``, of ``points`` (n, 3) in C0, is among the first there, or
+        since the last of so many ``keyframes`` was made: its points have not been seen before.
+        """
+        if not self._a_place:
+            return True
+        X = X_CC0 @ self._X_C0C
+        shift = np.linalg.norm(X[:3, 3]) / np.median(se3.apply(X_CC0, points)[:, 2])
+        elsewhere = shift + se3.angle_between(X[:3, :3], np.eye(3)) > _ELSEWHERE
+        if elsewhere or keyframes > self._keyframes:
+            self._X_C0C, self._keyframes, self._taken = se3.inverse(X_CC0), keyframes, 0
+        self._taken += 1
+        return self._taken <= self._a_place
+
 
 Indices = NDArray[np.int64]
 
@@ -64,3 +96,42 @@ class Keyframe(NamedTuple):
         zoom = abs(np.log(max(1.0 - X[2, 3] / depth, 0.05))) / np.log(_LARGEST_ZOOM)
         turn = se3.angle_between(X[:3, :3], np.eye(3)) / _LARGEST_TURN
         return float(shift + zoom + turn)
+
+
+def shared(
+    chosen: list[Keyframe], shown: Indices, first: Indices, views_alone: bool
+) -> tuple[Indices, Views, Indices, Indices]:
+    """The map points (m,) of those ``shown`` that at least two of the ``chosen`` keyframes show, their views,
+    and which keyframes (n,) first showed which points (n,). What is known of depths holds those, and so their
+    right eyes' views are left out; ``views_alone``: depths are not asked, and none is.
+
+    ``first`` (k,): numbers of the keyframes that first showed each point of the map.
+    """
+    every = np.concatenate([keyframe.ids for keyframe in chosen])
+    ids, counts = np.unique(every[np.isin(every, shown)], return_counts=True)
+    ids = ids[counts > 1]
+    cameras, numbers, eyes, rays, stds = [], [], [], [], []
+    depths: list[tuple[Array, Array]] = []
+    for k, keyframe in enumerate(chosen):
+        mine = np.isin(keyframe.ids, ids)
+        new = (first[keyframe.ids] == keyframe.number) & (not views_alone)
+        for eye, seen, there in (
+            (0, mine, keyframe.rays),
+            (1, mine & keyframe.seen_right & ~new, keyframe.right_rays),  # its depth says that already
+        ):
+            numbers.append(np.searchsorted(ids, keyframe.ids[seen]))
+            cameras.append(np.full(len(numbers[-1]), k))
+            eyes.append(np.full(len(numbers[-1]), eye))
+            rays.append(there[seen])
+            stds.append(keyframe.match_stds[eye, seen])
+        own = np.searchsorted(ids, keyframe.ids[mine & new])
+        depths.append((np.full(len(own), k), own))
+    views = Views(
+        np.concatenate(cameras),
+        np.concatenate(numbers),
+        np.concatenate(eyes),
+        np.concatenate(rays),
+        np.concatenate(stds),
+    )
+    camera, point = (np.concatenate(part) for part in zip(*depths, strict=True))
+    return ids, views, camera, point

@@ -8,8 +8,8 @@ adds what it saw.
 import numpy as np
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes import bundle_adjustment, shared_views
-from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.keyframes import bundle_adjustment
+from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, shared
 from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift, view_rates
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.se3 import Array
@@ -217,7 +217,7 @@ class KeyframeMap:
         at least two of them. ``views_alone``: without what the frames between them taught of depths.
         """
         chosen = [*held, *free]
-        ids, views, camera, point = shared_views.shared(chosen, shown, self._first, views_alone)
+        ids, views, camera, point = shared(chosen, shown, self._first, views_alone)
         known = bundle_adjustment.Depths(
             camera, point, self._inverse_depths[ids[point]], self.stds(ids[point])
         )

@@ -6,31 +6,146 @@ They run in the loop that speaks HTTP. Only ``glimpse``, which copies references
 import asyncio
 import contextlib
 import json
+import struct
 import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from typing import Any, TypeVar
 
+import cv2
 import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.responses import StreamingResponse
+from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from foundation.rest.files import PageFiles, add_files
 from foundation.rest.home import Home
 from foundation.rest.tokens import Role
-from protocol.errors import LongreachError
+from foundation.scheduling import take_policy
+from protocol.errors import LongreachError, RequestRefused
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.console.advice import advice
+from vision_pc.application.console.advice import MeasuringPace, advice
 from vision_pc.application.console.overview import Glimpse, Overview, ellipse_of, glimpse, told_by
-from vision_pc.application.console.pace import MeasuringPace
 from vision_pc.application.results import JSON
-from vision_pc.shell.rest.console.broadcast import Broadcast
-from vision_pc.shell.rest.console.pictures import PICTURE_PERIOD_S, LivePictures
+from vision_pc.core.types import StereoPair
 from vision_pc.shell.rest.operations import Operation, Operations
 from vision_pc.shell.rest.state_view import arm_json
+
+PICTURE_PERIOD_S = 0.095  # at most ten a second; a camera of ten a second loses none
+HEADER = struct.Struct("<IQQII")
+"""Bytes after this header, capture and encoding time (ns, vision's clock), frame, bytes of the left eye."""
+_LEFT_QUALITY, _RIGHT_QUALITY = 80, 70
+_RIGHT_SCALE = 0.5
+
+
+class LivePictures:
+    """Turns the newest pair into the bytes of one message: header, left eye, right eye at half its size."""
+
+    def __init__(self, pair_after: Callable[[int], Awaitable[StereoPair]]) -> None:
+        self._pair_after = pair_after
+        self._shown_ns = 0
+        self._thread: ThreadPoolExecutor | None = None
+
+    async def next_message(self) -> bytes:
+        """The message of the first pair after the last one. Raises LinkLost while the camera is silent."""
+        pair = await self._pair_after(self._shown_ns)
+        self._shown_ns = pair.capture_ns
+        if self._thread is None:  # nobody watched before
+            # Not the eyes' thread: a watcher must neither wait for a measurement nor hold one up.
+            self._thread = ThreadPoolExecutor(1, "pictures", initializer=take_policy, initargs=("batch",))
+        return await asyncio.get_running_loop().run_in_executor(self._thread, message, pair)
+
+
+def message(pair: StereoPair) -> bytes:
+    """The bytes of one pair."""
+    left, right = encoded(pair.left, pair.right)
+    return packed(pair.frame_id, pair.capture_ns, time.monotonic_ns(), left, right)
+
+
+def encoded(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[bytes, bytes]:
+    """Both eyes as JPEG, the right one at half its size."""
+    size = (round(right.shape[1] * _RIGHT_SCALE), round(right.shape[0] * _RIGHT_SCALE))
+    smaller = np.asarray(cv2.resize(right, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return _jpeg(left, _LEFT_QUALITY), _jpeg(smaller, _RIGHT_QUALITY)
+
+
+def packed(frame_id: int, capture_ns: int, encoded_ns: int, left: bytes, right: bytes) -> bytes:
+    """The message of two JPEG pictures; ``right`` is empty where there is none."""
+    length = HEADER.size - 4 + len(left) + len(right)
+    return HEADER.pack(length, capture_ns, encoded_ns, frame_id & 0xFFFFFFFF, len(left)) + left + right
+
+
+def _jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return bytes(data)
+
+
+_AFTER_TROUBLE_S = 0.25
+
+
+class Broadcast:
+    """``make`` is awaited every ``period_s`` while there are followers; each follower gets the newest.
+
+    A follower that is slow skips what was made meanwhile; nothing waits for it, and nothing is queued. What
+    ``make`` raises on purpose is taken for "nothing new"; it is asked again. All in one event loop.
+    """
+
+    def __init__(self, make: Callable[[], Awaitable[bytes]], period_s: float, most: int, what: str) -> None:
+        self._make, self._period_s, self._most, self._what = make, period_s, most, what
+        self._followers = 0
+        self._newest = b""
+        self._number = 0
+        self._news = asyncio.Event()
+        self._making: asyncio.Task[None] | None = None
+
+    @property
+    def followers(self) -> int:
+        """How many follow."""
+        return self._followers
+
+    def refuse_more(self) -> None:
+        """Raises RequestRefused (``refused.too_many_followers``) when there is no place for one more."""
+        if self._followers >= self._most:
+            why = f"{self._most} clients follow {self._what} already"
+            raise RequestRefused("refused.too_many_followers", why)
+
+    async def follow(self) -> AsyncIterator[bytes]:
+        """What is made from now on."""
+        self._followers += 1
+        if self._making is None:
+            self._making = asyncio.create_task(self._keep_making(), name=f"making {self._what}")
+        try:
+            seen = self._number
+            while True:
+                while self._number == seen:
+                    await self._news.wait()
+                seen = self._number
+                yield self._newest
+        finally:
+            self._followers -= 1
+            if not self._followers and self._making is not None:
+                self._making.cancel()
+                self._making = None
+
+    async def _keep_making(self) -> None:
+        loop = asyncio.get_running_loop()
+        with contextlib.suppress(asyncio.CancelledError):
+            while True:
+                began_s = loop.time()
+                try:
+                    self._newest = await self._make()
+                except LongreachError:
+                    await asyncio.sleep(_AFTER_TROUBLE_S)
+                    continue
+                self._number += 1
+                self._news.set()
+                self._news = asyncio.Event()
+                await asyncio.sleep(max(self._period_s - (loop.time() - began_s), 0.0))
+
 
 T = TypeVar("T")
 _STATE_PERIOD_S = 0.1
