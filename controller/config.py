@@ -61,7 +61,7 @@ class LoadHoldingConfig(StrictModel):
     pilot_ratio: float = Field(default=4.0, gt=0.0, le=50.0)
 
 
-JointFelt = Annotated[float, Field(ge=0.0, le=10.0)]
+OilSpring = Annotated[float, Field(ge=0.0, le=10.0)]
 
 
 class ParkingConfig(StrictModel):
@@ -82,10 +82,7 @@ class ParkingConfig(StrictModel):
     calm_ms: float = Field(gt=0.0, le=60_000.0)
     stays_ms: float = Field(gt=0.0, le=600_000.0)
     quiet_mm: float = Field(gt=0.0, le=20.0)
-    rest_ms: float = Field(gt=0.0, le=600_000.0)
-    rest_exact_ms: float = Field(gt=0.0, le=600_000.0)
-    felt_mrad_bar: tuple[JointFelt, JointFelt, JointFelt, JointFelt, JointFelt, JointFelt]
-    oil_mrad_bar: tuple[JointFelt, JointFelt, JointFelt, JointFelt, JointFelt, JointFelt]
+    oil_mrad_bar: tuple[OilSpring, OilSpring, OilSpring, OilSpring, OilSpring, OilSpring]
     alarm_mm: float = Field(gt=0.0, le=100.0)
 
     @model_validator(mode="after")

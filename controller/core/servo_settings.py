@@ -20,7 +20,6 @@ _CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its pha
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
 _SETTLED = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
 _HOLDS_NONE = LoadHolding(np.zeros(6), 1.0, 1.0, 1.0, np.ones(6))
-_HOLDING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
 
 
 def servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
@@ -126,10 +125,6 @@ def _parking_law(config: ControllerConfig) -> ParkingLaw:
         latest=late + _BREAKS_AWAY / gain,
         shutting=late + _RUNS_ON / gain,
         loaded=np.array(parking.loaded, dtype=float),
-        leak_time=np.where(exact, parking.rest_exact_ms, parking.rest_ms) * _MS,
-        holding_gain=_HOLDING * gain,
-        exact=exact.astype(float),
-        friction_spring=np.array(parking.felt_mrad_bar) * _MRAD,
         oil_spring=np.where(exact, 0.0, parking.oil_mrad_bar) * _MRAD,
         backlash=np.where(exact, 0.0, _whole_plays(config)),
         surely_open=surely_open(config.valves),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from controller.core.kinematics.rotations import Array, norm
-from controller.core.parking.joint import HOLD, Joints, ParkingLaw, joints_in_motion, offsets_from_place
+from controller.core.parking.joint import Joints, ParkingLaw, joints_in_motion, offsets_from_place
 from controller.core.parking.rest import (
     all_within,
     arm_parked,
@@ -45,12 +45,11 @@ def standing_after(
     rests, parking = _at_rest(law, before.rests, since_s, parking, events)
     parked = before.parked or (rests and is_parked(parking))
     if parked and not before.parked:
-        parking = arm_parked(law, parking)
+        parking = arm_parked(parking)
     away = norm(state.tool.J_BT[:3] @ offsets_from_place(parking)) if parked else 0.0
     astray = away > settings.parking_alarm * (_STILL_ASTRAY if before.astray else 1.0)
     if parked and not before.parked:
         events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
-    _report_leaks(law, state.parking, parking, events)
     if astray and not before.astray:
         events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
     return state._replace(parking=parking, standing=Standing(since_s, rests, parked, astray))
@@ -59,19 +58,6 @@ def standing_after(
 def _law(settings: ScanSettings) -> ParkingLaw:
     assert settings.parking is not None
     return settings.parking
-
-
-def _report_leaks(law: ParkingLaw, before: Joints, parking: Joints, events: list[ScanEvent]) -> None:
-    """Report which joints are held by an opening since this scan."""
-    phases, were = parking["phase"].tolist(), before["phase"].tolist()
-    if phases == were:
-        return
-    for joint in range(6):
-        if phases[joint] == HOLD != were[joint]:
-            allowed = 2.0 * parking["band"][joint] / law.leak_time[joint]
-            cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_AN_OPENING"
-            creep = abs(float(parking["creep"][joint]))
-            events.append(ScanEvent("leaking", cause, creep, float(allowed)))
 
 
 def rests_settled(settings: ScanSettings, state: ScanState, errors: Array) -> bool:
@@ -90,7 +76,7 @@ def _at_rest(
     """
     if rests:
         return True, parking
-    moving = np.flatnonzero(unsettled_joints(law, parking))
+    moving = np.flatnonzero(unsettled_joints(parking))
     if len(moving) == 0:
         return True, arm_rested(parking)
     if since_s < law.give_up or not may_stop_here(law, parking):

@@ -29,8 +29,6 @@ _CHANCE = 0.05
 _FAILED_MM = 50.0  # a run that stops counts as so far off: larger than any that ends
 _NONE = "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]"
 _NO_METERING = f"controller.parking.oil_mrad_bar={_NONE}"
-_NO_LOAD = f"controller.parking.felt_mrad_bar={_NONE}"
-_NO_KEEPING = ("controller.parking.rest_ms=0.001", "controller.parking.rest_exact_ms=0.001", _NO_LOAD)
 _NO_NUDGES = "controller.parking.loaded=[false, false, false, false, false, false]"
 _LOCAL = "vision.programs.local_map"
 _NO_CAMERA = "vision.markers.calibration.enabled=false"
@@ -53,11 +51,9 @@ RULES: Mapping[str, Rule] = {
     "parking": Rule("parking: the joint law goes on", (LOOK, REST), ("controller.parking.enabled=false",)),
     "small_moves": Rule(
         "all of parking but shut valves and jog pulses", (LOOK, REST),
-        (_NO_METERING, *_NO_KEEPING, _NO_NUDGES), sides=False,
+        (_NO_METERING, _NO_NUDGES), sides=False,
     ),
     "metering": Rule("flow-metered pulses, decompression", (LOOK, REST), (_NO_METERING,)),
-    "leak_compensation": Rule("leak compensation", (REST,), _NO_KEEPING),
-    "load_feedback": Rule("load pressure in leak compensation", (REST,), (_NO_LOAD,)),
     "pressure_pulses": Rule("pressure-terminated pulses", (REST,), (_NO_NUDGES,)),
     "backlash_sides": Rule("sides of backlash", (LOOK, REST), sides=False),
     "take_up": Rule(

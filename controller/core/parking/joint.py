@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from controller.core.kinematics.rotations import Array
 
 # Phases. FOLLOW: the joint law drives it. SHUT: its valve is in the centre. JOG: its valve opens until it has
-# moved. PULSE: its valve opens until the load pressure has changed. HOLD: a small opening passes its leak.
-FOLLOW, SHUT, JOG, HOLD, PULSE = range(5)
+# moved. PULSE: its valve opens until the load pressure has changed.
+FOLLOW, SHUT, JOG, PULSE = range(4)
 
 # How far a joint has come to rest: not yet; this joint; the whole arm.
 MOVES, JOINT_RESTS, ARM_RESTS = range(3)
@@ -45,7 +45,6 @@ _JOG = _record(
         ("end", "f8"),  # error when the joint had come to rest after it
         ("seen", "i8"),  # the joint moved
         ("fine", "i8"),  # shorter than can be watched well
-        ("repeats", "f8"),  # moves in a row that were due too soon
     ]
 )
 _PULSE = _record(
@@ -71,17 +70,6 @@ _OIL = _record(
         ("relaxed_at", "f8"),  # encoder where that was seen last
     ]
 )
-_LEAK = _record(
-    [
-        ("bias", "f8"),  # rad/s
-        ("remainder", "f8"),  # of the spool, that rounding has kept from the valve
-        ("load", "f8"),  # filtered for minutes
-        ("too_high", "f8"),  # for how long the joint has stood too high
-        ("highest", "f8"),  # error when its valve was shut for that
-        ("steady", "f8"),  # for how long ``bias`` has been about ``steady_at``
-        ("steady_at", "f8"),
-    ]
-)
 _VALVE = _record([("edge", "f8", (2,)), ("doubt", "f8", (2,))])  # where it opens, raising and lowering
 _SIDE = _record([("sense", "f8"), ("furthest", "f8"), ("angle", "f8")])  # of the last turn of the encoder
 JOINT = _record(
@@ -98,7 +86,6 @@ JOINT = _record(
         ("jog", _JOG),
         ("pulse", _PULSE),
         ("oil", _OIL),
-        ("leak", _LEAK),
         ("valve", _VALVE),
         ("side", _SIDE),
     ],
@@ -116,17 +103,13 @@ class ParkingLaw(NamedTuple):
     which a shut joint is moved. ``slowest``, ``fastest``: of a jog (rad/s). ``patience`` (s): time that the
     joint law has to arrive. ``calm_travel`` (m), ``calm`` (s): a joint rests that moved the tool by no more
     for so long, and is brought back when it is ``settled`` (rad) off. ``give_up`` (s): after a motion, an
-    arm that does not come to rest counts as resting. ``quiet`` (m): the arm is parked when no joint moved
-    the tool by more in 10 s. ``deadband``, ``spread``: what is known of it when it opens (spool).
-    ``latest`` (s): from a command until motion is seen; ``shutting`` (s): how long a joint moves on when
-    its valve is told to shut. ``loaded``: 1 where gravity makes a joint creep, 0 where it only relaxes.
-    ``leak_time`` (s): a joint that leaks through twice its band in less is held by an opening, with gain
-    ``holding_gain`` (1/s). ``exact``: 1 for a valve that passes a small flow steadily. ``friction_spring``
-    (rad/bar): how far a held joint has moved when friction, a spring before it slides, has changed the
-    load; 0: not used. ``oil_spring`` (rad/bar): how far a joint moves with its valve shut as the load
-    falls; 0: jogs are not metered. ``backlash`` (rad): how far beyond its place a joint is left that would
-    have to cross its backlash to come back; 0: not known. ``surely_open``: spool beyond which a valve is
-    open. ``dt_s``: of a scan.
+    arm that does not come to rest counts as resting. ``quiet`` (m): the arm is parked when no joint moved the
+    tool by more in 10 s. ``deadband``, ``spread``: what is known of it when it opens (spool). ``latest`` (s):
+    from a command until motion is seen; ``shutting`` (s): how long a joint moves on when its valve is told
+    to shut. ``loaded``: 1 where gravity makes a joint creep, 0 where it only relaxes. ``oil_spring``
+    (rad/bar): how far a joint moves with its valve shut as the load falls; 0: jogs are not metered.
+    ``backlash`` (rad): how far beyond its place a joint is left that would have to cross its backlash to come
+    back; 0: not known. ``surely_open``: spool beyond which a valve is open. ``dt_s``: of a scan.
     """
 
     band: float
@@ -145,10 +128,6 @@ class ParkingLaw(NamedTuple):
     latest: Array
     shutting: Array
     loaded: Array
-    leak_time: Array
-    holding_gain: Array
-    exact: Array
-    friction_spring: Array
     oil_spring: Array
     backlash: Array
     surely_open: Array
@@ -181,10 +160,8 @@ def joints_in_motion(joints: Joints) -> Joints:
 
 _FORGOTTEN = {
     "watch": ("inside", "away", "quiet", "calm"),
-    "jog": ("repeats",),
     "pulse": ("error", "since"),
     "oil": ("travel", "opened"),
-    "leak": ("bias", "steady", "too_high"),
 }
 """Part → what of it a motion makes untrue."""
 

@@ -4,7 +4,7 @@ A continuous law hunts at a deadband: its integral winds up while nothing moves,
 the joint law has its time to arrive. Then, or when it did not, the valve is shut; a joint that leaves its
 band is brought back by a jog: the valve is opened further and further in one direction until the joint moves,
 and shut before it gets there. Nothing winds up, and a joint in position has its valve in the centre. Once the
-arm is parked, what gravity makes creep is pulsed, or held.
+arm is parked, what gravity makes creep is pulsed.
 """
 
 import math
@@ -12,17 +12,8 @@ import math
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.parking.jogs import (
-    FAR_RAD,
-    holding_spool,
-    jog_spool,
-    pulse_spool,
-    shut_valve,
-    start_holding,
-    start_jog,
-    start_pulse,
-)
-from controller.core.parking.joint import FOLLOW, HOLD, MOVES, PULSE, SHUT, Joint, Joints, ParkingLaw
+from controller.core.parking.jogs import jog_spool, pulse_spool, shut_valve, start_jog, start_pulse
+from controller.core.parking.joint import FOLLOW, MOVES, PULSE, SHUT, Joint, Joints, ParkingLaw
 from controller.core.parking.metering import (
     decompression_spool,
     learn_from_metered,
@@ -56,10 +47,9 @@ _ERROR_FILTER_S = 0.5  # [D] the encoder's noise dithers its digits: their mean 
 _RATE_FILTER_S = 0.5  # [D] of the speed of a metered joint that is shut,
 _RELAXES_S = 2.0  # [M] which goes on for so long: friction lets go of compressed oil
 _RATE_S = 1.0  # [D] a creep that was watched for this long is believed by half
-_REPEATS = 3.0  # [D] moves in a row that were due too soon tell a leaking joint from one that relaxes
 _WATCHED_S = 4.0  # [D] so long a parked joint is watched before it is moved
 _PULSED_AT = 0.5  # [D] of the band: a parked joint that crept so far is moved
-_NEAR_RAD = 5e-4  # [D] from there on a valve that passes small flows steadily holds a joint whose load tells
+_FAR_RAD = 1e-3  # [D] a parked joint that went so far is jogged back
 _PART = 0.5  # [M] of its way: a slew near its place, which relaxes by as much again
 _DRAGS_RAD = 3e-6  # [E] from there on a joint drags its encoder along again, and its creep shows
 _AGAIN_RAD = 7e-6  # [E] beyond where its encoder was at the last pulse; the slow filter's noise is 1 µrad
@@ -130,8 +120,6 @@ def phase_spool(law: ParkingLaw, joints: Joints, i: int, error: float, load: flo
     joint = joints[i]
     if joint.phase == SHUT:
         return float(_shut_spool(law, joints, i, error, load, gains))
-    if joint.phase == HOLD:
-        return float(holding_spool(law, joint, i, error, load, gains))
     if joint.phase == PULSE:
         return float(pulse_spool(law, joint, i, error, load, gains))
     if law.oil_spring[i] > 0.0:
@@ -186,29 +174,20 @@ def _shut_spool(law: ParkingLaw, joints: Joints, i: int, error: float, load: flo
     pulsing = (joints["phase"] == PULSE).any()
     if not needs_move(law, joint, i, (off, rate, watched), pulsing):
         return 0.0
-    return float(next_move(law, joint, i, (error, load, off, rate, watched), gains))
+    return float(next_move(law, joint, i, (load, off, rate, watched)))
 
 
 @kernel
-def next_move(
-    law: ParkingLaw, joint: Joint, i: int, seen: tuple[float, float, float, float, float], gains: Array
-) -> float:
+def next_move(law: ParkingLaw, joint: Joint, i: int, seen: tuple[float, float, float, float]) -> float:
     """The first spool command of what brings shut joint ``i`` back.
 
-    ``seen``: error (rad), load (bar), how far off it is (rad), its rate (rad/s), for how long that was
-    watched (s). A parked joint is pulsed when it creeps, and only then: a jog takes it through its backlash,
-    of which the encoder sees nothing. One without load is left alone.
+    ``seen``: load (bar), how far off it is (rad), its rate (rad/s), for how long that was watched (s). A
+    parked joint is pulsed when it creeps, and only then: a jog takes it through its backlash, of which the
+    encoder sees nothing. One without load is left alone.
     """
-    error, load, off, rate, watched = seen
-    sense, jog, oil = 1.0 if off > 0.0 else -1.0, joint.jog, joint.oil
-    leak = rate if law.oil_spring[i] == 0.0 else (oil.error - oil.end) / max(watched, 1e-3)
-    soon = _moves_too_often(law, joint, i, sense, leak)
-    jog.repeats = jog.repeats + 1.0 if soon else min(jog.repeats, 0.0)
-    springs = law.friction_spring[i] > 0.0 and law.loaded[i] > 0.0
-    if (law.exact[i] > 0.0 and springs and abs(off) < _NEAR_RAD) or jog.repeats >= _REPEATS:
-        start_holding(joint, leak, load)
-        return float(holding_spool(law, joint, i, error, load, gains))
-    if joint.rest > MOVES and abs(off) < FAR_RAD:
+    load, off, rate, watched = seen
+    sense = 1.0 if off > 0.0 else -1.0
+    if joint.rest > MOVES and abs(off) < _FAR_RAD:
         _measure_creep(joint, sense)
         return float(start_pulse(law, joint, i, joint.watch.error, sense, load))
     if law.oil_spring[i] > 0.0:
@@ -231,15 +210,6 @@ def _measure_creep(joint: Joint, sense: float) -> None:
     creep = sense * seen / max(joint.pulse.dragged, _WATCHED_S)
     joint.creep += trust * (creep - joint.creep)
     joint.pulse.dragged = 0.0
-
-
-@kernel
-def _moves_too_often(law: ParkingLaw, joint: Joint, i: int, sense: float, leak: float) -> bool:
-    """Whether loaded joint ``i``, which leaks by ``leak`` (rad/s), has to be moved again too soon."""
-    crept = joint.since < 4.0 * law.shutting[i]
-    crept = crept or abs(joint.error - joint.jog.end) > 0.5 * joint.band
-    fast = sense * leak * law.leak_time[i] > 2.0 * joint.band
-    return bool(law.loaded[i] > 0.0 and crept and fast and sense == joint.jog.sense)
 
 
 @kernel

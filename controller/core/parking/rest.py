@@ -10,11 +10,9 @@ import math
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.parking.jogs import soft_gain
 from controller.core.parking.joint import (
     ARM_RESTS,
     FOLLOW,
-    HOLD,
     JOG,
     JOINT_RESTS,
     MOVES,
@@ -81,13 +79,10 @@ def all_within(law: ParkingLaw, joints: Joints, off: Array, least: float) -> boo
 
 ARRIVED_RAD = 9.6e-5  # [D] two digits: until the arm is parked, no joint is brought nearer
 _PUSHED_RAD = 9.6e-5  # [D] two digits: a resting joint that others have pushed so far is judged anew
-_NEARLY = 1.5  # [D] of ARRIVED_RAD: a held joint stays there
 _CREEP_FILTER_S = 3.0  # [D] of the slow creep of a parked joint: good for a microradian
 _QUIET_S = 10.0  # [D] the arm is parked when no joint moved for so long,
-_HOLDS_S = 35.0  # [M] nor a held one, which by then leans on one side of the backlash before its encoder,
 _LONGEST_S = 300.0  # [D] or when its joints have been away from the joint law for so long
 _QUIET_BAR = 0.05  # [E] with a slew of 4 cm³/degree 0.01 mrad of its friction
-_STEADY_RAD_S = 1e-5  # [M] and whose leak changes by no more: oil that drains away took a lift 1.5 mm along
 
 
 @kernel
@@ -96,7 +91,7 @@ def watch_creep(law: ParkingLaw, joint: Joint, i: int, lever: float, error: floa
 
     One without load relaxes within the backlash before its encoder; the oil, ``load`` (bar), tells how long.
     """
-    watch, leak = joint.watch, joint.leak
+    watch = joint.watch
     keep = math.exp(-law.dt_s / _CREEP_FILTER_S)
     watch.error = keep * watch.error + (1.0 - keep) * error
     watch.load = keep * watch.load + (1.0 - keep) * load
@@ -105,19 +100,15 @@ def watch_creep(law: ParkingLaw, joint: Joint, i: int, lever: float, error: floa
     relaxes = law.loaded[i] == 0.0 and abs(watch.load - watch.load_at) > _QUIET_BAR
     if relaxes or abs(watch.error - watch.quiet_at) > law.quiet / lever:
         watch.quiet, watch.quiet_at, watch.load_at = 0.0, watch.error, watch.load
-    leak.steady += law.dt_s
-    if law.friction_spring[i] > 0.0 and abs(leak.bias - leak.steady_at) > _STEADY_RAD_S:
-        leak.steady, leak.steady_at = 0.0, leak.bias
 
 
 @kernel
 def judge_rest(law: ParkingLaw, joint: Joint, i: int, lever: float) -> None:
     """Count how long joint ``i`` has been calm; let it rest where it is, or judge it anew."""
     watch, phase = joint.watch, joint.phase
-    here = watch.error if phase == HOLD else joint.error
     watch.calm += law.dt_s
-    if phase == JOG or abs(here - watch.calm_at) > law.calm_travel / lever:
-        watch.calm, watch.calm_at = 0.0, here
+    if phase == JOG or abs(joint.error - watch.calm_at) > law.calm_travel / lever:
+        watch.calm, watch.calm_at = 0.0, joint.error
     if phase != SHUT or joint.rest == ARM_RESTS:
         return
     off, error = abs(joint.error - joint.place), joint.error
@@ -129,11 +120,9 @@ def judge_rest(law: ParkingLaw, joint: Joint, i: int, lever: float) -> None:
         joint.place = joint.pulse.error = watch.error = joint.error
 
 
-def unsettled_joints(law: ParkingLaw, joints: Joints) -> Array:
+def unsettled_joints(joints: Joints) -> Array:
     """Which joints (6,) do not rest yet."""
-    shut = (joints["phase"] == SHUT) & (joints["rest"] > MOVES)
-    calm = (joints["watch"]["calm"] > law.calm) & (np.abs(joints["error"]) < law.settled)
-    return np.asarray(~(shut | ((joints["phase"] == HOLD) & calm)))
+    return np.asarray((joints["phase"] != SHUT) | (joints["rest"] == MOVES))
 
 
 def may_stop_here(law: ParkingLaw, joints: Joints) -> bool:
@@ -143,46 +132,33 @@ def may_stop_here(law: ParkingLaw, joints: Joints) -> bool:
 
 
 def arm_rested(joints: Joints) -> Joints:
-    """``joints`` with the arm at rest: those behind shut valves stay where they are."""
+    """``joints`` with the arm at rest: all stay where they are."""
     here = joints.copy()
-    shut = joints["phase"] != HOLD
-    anew = shut & (joints["rest"] == MOVES)
-    for part in (here, here["pulse"], here["watch"]):
-        name = "place" if part is here else "error"
-        part[name] = np.where(anew, joints["error"], part[name])
-    here["rest"] = np.where(shut, ARM_RESTS, joints["rest"])
+    anew = joints["rest"] == MOVES
+    here["place"] = np.where(anew, joints["error"], joints["place"])
+    for part in (here["pulse"], here["watch"]):
+        part["error"] = np.where(anew, joints["error"], part["error"])
+    here["rest"] = ARM_RESTS
     return here
 
 
 @kernel
 def is_parked(joints: Joints) -> bool:
-    """Whether no joint moves the tool any more, each shut near its place or held; or it never will."""
+    """Whether no joint moves the tool any more, each shut near its place; or it never will."""
     rests = too_long = True
     for i in range(6):
         joint = joints[i]
-        quiet = joint.watch.quiet
         near = abs(joint.error - joint.place) < 1.5 * joint.band
-        stands = joint.phase == SHUT and near and quiet > _QUIET_S
-        holds = joint.phase == HOLD and min(quiet, joint.leak.steady) > _HOLDS_S
-        rests = rests and (stands or holds)
+        rests = rests and joint.phase == SHUT and near and joint.watch.quiet > _QUIET_S
         too_long = too_long and joint.phase != FOLLOW and joint.watch.away > _LONGEST_S
     return bool(rests or too_long)
 
 
-def arm_parked(law: ParkingLaw, joints: Joints) -> Joints:
-    """``joints`` with the arm parked: from now on they are kept where they rest.
-
-    A held joint that is near its goal, too: it would take minutes to creep there, and the tool with it. Its
-    valve stays as it is: what held it there, against its error and its load, is bias now.
-    """
+def arm_parked(joints: Joints) -> Joints:
+    """``joints`` with the arm parked: from now on they are kept where they rest."""
     here = joints.copy()
-    shut, held = joints["phase"] == SHUT, joints["phase"] == HOLD
-    near = held & (np.abs(joints["error"]) < ARRIVED_RAD * _NEARLY)
-    here["rest"], here["place"] = ARM_RESTS, np.where(shut | near, joints["error"], 0.0)
-    sunk = law.friction_spring * (joints["leak"]["load"] - joints["watch"]["load"])
-    moved = joints["jog"]["sense"] * (here["place"] - joints["place"] + sunk)
-    here["leak"]["bias"] += np.where(near, soft_gain(law) * moved, 0.0)
-    here["leak"]["load"] = np.where(near, joints["watch"]["load"], joints["leak"]["load"])
+    shut = joints["phase"] == SHUT
+    here["rest"], here["place"] = ARM_RESTS, np.where(shut, joints["error"], 0.0)
     here["pulse"]["error"] = here["watch"]["error"] = here["place"]
     here["creep"] = np.where(shut, 0.0, joints["creep"])
     return here

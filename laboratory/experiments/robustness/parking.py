@@ -8,7 +8,6 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from controller.core.parking.joint import HOLD
 from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, at_most
 from laboratory.experiments.positioning.worlds import ARMS
@@ -26,7 +25,6 @@ from laboratory.experiments.robustness.resting_machines import (
     machines,
     stepped,
 )
-from nominal_arm.description import JOINT_NAMES
 from protocol.reference_messages import FLAG_SETTLED
 from testbed.lockstep.core_loop import ClosedLoop
 from testbed.reporting.console import table
@@ -53,7 +51,7 @@ class ParkingRow(NamedTuple):
 
     ``rested_s``: after the motion's end until it parked (or settled, by the joint law), nan when it did not.
     ``inside_s``: until every joint was inside 0.3 mrad for good in the first 20 s, nan: not in that time.
-    ``astray``: times that the alarm was raised. ``kept``: joints that leak too fast for a shut valve.
+    ``astray``: times that the alarm was raised.
     ``error_mrad``: largest of a joint.
     """
 
@@ -67,7 +65,6 @@ class ParkingRow(NamedTuple):
     end_mm: float
     error_mrad: float
     inches: int
-    kept: str
     astray: int
     cpu_s: float
 
@@ -149,7 +146,6 @@ def _watch(loop: ClosedLoop, cycles: int, outside: list[bool]) -> JSON:
         "end_mm": moved[-1],
         "error_mrad": max(errors),
         "inches": inches,
-        "kept": " ".join(JOINT_NAMES[i] for i in np.flatnonzero(loop.state.parking["phase"] == HOLD)),
         "astray": astray,
     }
 
@@ -160,7 +156,7 @@ def _of(done: ParkedRows, arm: str, valves: str) -> list[ParkingRow]:
 
 
 def parking_table(done: ParkedRows) -> list[Table]:
-    """By arm and set of valves: millimetres moved, and how they were kept."""
+    """By arm and set of valves: millimetres moved."""
     lines = []
     for arm in ARMS:
         for valves in (*VALVE_SETS, REAL):
@@ -173,12 +169,11 @@ def parking_table(done: ParkedRows) -> list[Table]:
                      f"{np.median([row.end_mm for row in rows]):.2f}",
                      f"{max(row.error_mrad for row in rows):.2f}",
                      f"{np.median([row.inches for row in rows]):.0f}",
-                     " ".join(sorted({name for row in rows for name in row.kept.split()})) or "none",
                      sum(row.astray > 0 for row in rows), "met" if moved.max() <= MOVED_MM else "NOT met")
                 )  # fmt: skip
     headings = (
         "arm", "valves", "runs", "at rest", "inside 0.3 mrad after s", "moved mm, median", "worst",
-        "at the end", "joint mrad, worst", "inches", "kept by the servo", "astray", f"≤ {MOVED_MM:g} mm",
+        "at the end", "joint mrad, worst", "jogs", "astray", f"≤ {MOVED_MM:g} mm",
     )  # fmt: skip
     title = f"{done.settings.minutes:g} minutes at rest, law: {done.settings.law}"
     return [table(title, headings, lines), *broken_off(done.rows)]

@@ -33,17 +33,16 @@ _STREAM = 0x72657374
 _FURTHEST_M, _NEAREST_M, _TURN_DEG = 0.3, 0.03, 8.0
 _TARGETS = 20
 _MOST_KG = 100.0
-VALVE_SETS = ("servo", "mobile")
+VALVE_SETS = ("mobile",)
 REAL = "real"  # mobile valves, and all else that the real worlds draw of a machine
 WORLD = "drawn targets within 0.3 m, 0 to 100 kg, friction ×0.6 to 1.7; mobile valves drawn"
 _OF_A_MACHINE: Mapping[str, tuple[Axis, ...]] = {
-    "servo": (axes.friction,),
     "mobile": (axes.friction, axes.mobile_valves),
     REAL: tuple(axis for axis in WORLDS[WorldName.REAL].axes if getattr(axes, axis.name, None) is axis),
 }
 
 MachineKinds = Annotated[
-    str, typer.Option("--machines", help="servo, mobile (valves), real (all of a machine), by commas.")
+    str, typer.Option("--machines", help="mobile (valves), real (all of a machine), by commas.")
 ]
 
 JSON = dict[str, Any]
@@ -70,7 +69,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     """The machine of a task: ``seed``, ``arm``, ``valves``, ``parks``, and ``known``.
 
     ``known``: what is believed of every deadband over what a commissioning would state of it. Mobile valves
-    are drawn about plant.yaml's and stated as commissioned; servo valves are as the data sheet says.
+    are drawn about plant.yaml's and stated as commissioned.
     ``real``: mobile valves, and whatever else the real worlds draw of a machine, camera and wall apart.
     """
     rng = np.random.default_rng([task["seed"], _STREAM])
@@ -86,8 +85,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
         own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
     asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
     settings = load_settings(config_dir, asked)
-    if task["valves"] != "servo":
-        settings = commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
+    settings = commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
     return DrawnMachine(_known(settings, task["known"]), mass_kg, rng)
 
 

@@ -38,8 +38,8 @@ LAW = ParkingLaw(
     calm_travel=2e-4, calm=3.0, settled=LEAVES_RAD, give_up=30.0, quiet=1e-4,
     deadband=np.full((6, 2), 0.08), spread=np.full((6, 2), 0.004),
     latest=(LATE_S + 0.3) * ONES, shutting=(LATE_S + 0.13) * ONES,
-    loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]), leak_time=3.0 * ONES, holding_gain=1.5 * ONES,
-    exact=0.0 * ONES, friction_spring=0.0 * ONES, oil_spring=OIL_RAD_BAR * ONES, backlash=PLAY_RAD * ONES,
+    loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]),
+    oil_spring=OIL_RAD_BAR * ONES, backlash=PLAY_RAD * ONES,
     surely_open=np.full((6, 2), 0.16), dt_s=DT_S,
 )  # fmt: skip
 UNKNOWN = LAW._replace(backlash=0.0 * ONES)

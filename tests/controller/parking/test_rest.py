@@ -6,7 +6,6 @@ import pytest
 from controller.core.parking.joint import (
     ARM_RESTS,
     FOLLOW,
-    HOLD,
     JOG,
     JOINT_RESTS,
     PULSE,
@@ -26,8 +25,8 @@ LAW = ParkingLaw(
     band=4e-4, band_least=7e-5, band_most=2e-4, slowest=4e-4, fastest=1e-2, patience=6.0,
     calm_travel=WAY_M, calm=CALM_S, settled=LEAVES_RAD, give_up=30.0, quiet=1e-4,
     deadband=np.full((6, 2), 0.08), spread=np.full((6, 2), 0.004), latest=0.3 * ONES, shutting=0.2 * ONES,
-    loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]), leak_time=3.0 * ONES, holding_gain=1.5 * ONES,
-    exact=0.0 * ONES, friction_spring=0.0 * ONES, oil_spring=3e-4 * ONES, backlash=0.0 * ONES,
+    loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]),
+    oil_spring=3e-4 * ONES, backlash=0.0 * ONES,
     surely_open=np.full((6, 2), 0.16), dt_s=DT_S,
 )  # fmt: skip
 
@@ -57,22 +56,21 @@ def test_a_joint_rests_where_it_has_been_calm_for_long_enough() -> None:
     assert (state["rest"] == JOINT_RESTS).all()
 
 
-@pytest.mark.parametrize("phase", [JOG, FOLLOW, PULSE, HOLD])
+@pytest.mark.parametrize("phase", [JOG, FOLLOW, PULSE])
 def test_a_joint_with_its_valve_open_does_not_rest(phase: float) -> None:
     state = _shut_at(0.0)
     state["phase"][3] = phase
     _passed(state, 2.0 * CALM_S)
     assert state["rest"][3] == 0.0
-    assert unsettled_joints(LAW, state)[3] == (phase != HOLD)
-    assert unsettled_joints(LAW, state).sum() == (phase != HOLD)
+    assert unsettled_joints(state)[3]
+    assert unsettled_joints(state).sum() == 1
 
 
 def test_a_joint_outside_the_tolerance_never_rests() -> None:
     state = _shut_at(-1.01 * LEAVES_RAD)
     _passed(state, 2.0 * CALM_S)
     assert not state["rest"].any()
-    state["phase"][4] = HOLD
-    assert unsettled_joints(LAW, state).all()
+    assert unsettled_joints(state).all()
     assert not may_stop_here(LAW, state)
 
 
@@ -84,18 +82,18 @@ def test_a_resting_joint_that_others_push_is_judged_anew_until_the_arm_rests() -
     here = arm_rested(pushed)
     _passed(pushed, DT_S)
     assert pushed["rest"][2] == pushed["place"][2] == 0.0
-    assert unsettled_joints(LAW, pushed).tolist() == [False, False, True, False, False, False]
+    assert unsettled_joints(pushed).tolist() == [False, False, True, False, False, False]
     _passed(here, DT_S)
     assert here["rest"][2] == ARM_RESTS
 
 
-def test_an_arm_at_rest_keeps_its_places_and_its_kept_joints() -> None:
+def test_an_arm_at_rest_keeps_its_places() -> None:
     state = _shut_at(1e-4)
     _passed(state, 1.1 * CALM_S)
     state["error"] += 2e-5  # crept, but not so far that it matters
-    state["phase"][4], state["rest"][4], state["rest"][5] = HOLD, 0.0, 0.0
+    state["rest"][5] = 0.0
     here = arm_rested(state)
-    assert here["rest"].tolist() == [ARM_RESTS] * 4 + [0.0, ARM_RESTS]
+    assert (here["rest"] == ARM_RESTS).all()
     assert here["place"][0] == 1e-4
     assert here["place"][5] == here["error"][5]
     moving = joints_in_motion(here)
@@ -144,7 +142,7 @@ def test_a_slew_is_brought_back_only_when_the_arm_would_not_be_settled_and_half_
     ]
     assert due == [False, False, True, False, True, True]
     for joint, off, way in ((0, 4e-4, 2e-4), (0, 6e-4, 6e-4), (1, 4e-4, 4e-4)):
-        next_move(LAW, state[joint], joint, (off, 0.0, off, 0.0, 2.0), GAINS)
+        next_move(LAW, state[joint], joint, (0.0, off, 0.0, 2.0))
         assert state["oil"]["travel"][joint] == pytest.approx(way)
 
 
