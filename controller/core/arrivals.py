@@ -11,8 +11,8 @@ from collections import deque
 from protocol.datagram_layout import Kind
 from protocol.reference_messages import STOPS
 
-A_CYCLE = 32
-WAITING = 512
+A_CYCLE = 32  # [D]
+WAITING = 512  # [D]
 Arrival = tuple[bytes, object]
 
 _COMMAND = struct.Struct("<6xB9xQ16xQI")  # kind, session, id and code of a COMMAND, where they lie

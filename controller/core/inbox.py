@@ -4,8 +4,8 @@ from protocol.channel import is_newer
 from protocol.reference_messages import Acknowledgement, Command, Request, is_stop, overtaken
 from protocol.session_events import RequestReceived, ServerEvent, SessionClosed, StreamedPoseReceived
 
-WAITING = 64
-_REQUESTS_A_SCAN = 8
+WAITING = 64  # [D]
+_REQUESTS_A_SCAN = 8  # [D]
 
 
 class Inbox:

@@ -19,7 +19,7 @@ RAD_PER_COUNT = 2.0 * math.pi / COUNTS_PER_TURN
 # Another master owns the outputs, or the coupler is busy: it may pass, so it is asked again a few times.
 _BUSY = 6
 # Joint speeds for supervision only: long enough to hide the encoder's last digit, short against a fault.
-_SPEED_FILTER_S = 0.03
+_SPEED_FILTER_S = 0.03  # [D]
 
 
 class PlantRefusal(NamedTuple):

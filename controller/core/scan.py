@@ -57,7 +57,7 @@ from protocol.reference_messages import (
 )
 
 # The plant may take the watchdog's reset on the edge or on the level: a slow square wave serves both.
-_RESET_HALF_PERIOD = 8
+_RESET_HALF_PERIOD = 8  # [D]
 _UNLOADED = np.zeros(6)
 
 

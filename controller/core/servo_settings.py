@@ -14,10 +14,10 @@ _MS = 1e-3
 _MRAD = 1e-3
 _MM = 1e-3
 _SURE = 3.0  # standard deviations
-_CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its phase
+_CARRIED = 0.4  # [D] gain times lateness that a joint's loop bears: 23° of its phase
 # A joint's gain goes with the pace of its oil's spring: so long, times the gain, until a joint breaks away,
 # and until it rests after its valve has shut.
-_BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
+_BREAKS_AWAY, _RUNS_ON = 0.7, 0.3  # [E]
 _SETTLED = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
 _HOLDS_NONE = LoadHolding(np.zeros(6), 1.0, 1.0, 1.0, np.ones(6))
 

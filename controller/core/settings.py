@@ -22,7 +22,7 @@ from nominal_arm.description import NominalArm
 _MS = 1e-3
 _MRAD = 1e-3
 _MM = 1e-3
-_EXCHANGES_AT_MS = 5.0  # limits that count exchanges hold from this cycle on
+_EXCHANGES_AT_MS = 5.0  # [D] limits that count exchanges hold from this cycle on
 
 
 class MotionLimits(NamedTuple):

@@ -26,7 +26,7 @@ from protocol.process_image import (
 )
 
 _PA_PER_BAR = 1e5
-_AHEAD_S = 0.1  # a tool outside the workspace that is nearer to it after this time comes back
+_AHEAD_S = 0.1  # [D] a tool outside the workspace that is nearer to it after this time comes back
 
 ValueAndLimit = tuple[float, float]
 Sextet = tuple[bool, bool, bool, bool, bool, bool]

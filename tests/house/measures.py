@@ -4,11 +4,14 @@
 """
 
 import ast
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import yaml
 
 ROOT = Path(__file__).parents[2]
 _NOT_SOURCE = {"tests", "docs", "configs", "runs", "dist", "build"}
@@ -182,21 +185,65 @@ def lines(root: Path, pattern: str) -> int:
     return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in root.glob(pattern))
 
 
+PARTS = {
+    "conformance": ("conformance",),
+    "laboratory": ("laboratory",),
+    "product": (
+        "controller", "dissector", "examples", "foundation", "longreach", "nominal_arm", "plant_emulator",
+        "protocol", "testbed", "tools", "vision_pc",
+    ),
+}  # fmt: skip
+"""Part of the house → its packages: the suites and the laboratory are distributions of their own."""
+
+
 def mass(root: Path) -> dict[str, int]:
-    """What a person who takes the house over has to read: lines, words and modules of a checkout."""
+    """What a person who takes the house over has to read: lines, words, modules, keys of a checkout."""
     sources = [path for package in packages(root) for path in (root / package).rglob("*.py")]
     pages = [path for pattern in ("*.md", "docs/**/*.md", "examples/**/*.md") for path in root.glob(pattern)]
 
     def words(paths: list[Path]) -> int:
         return sum(len(path.read_text(encoding="utf-8").split()) for path in paths)
 
-    return {
+    parts = {
+        f"lines of the {part}": sum(lines(root, f"{package}/**/*.py") for package in names)
+        for part, names in PARTS.items()
+    }
+    return parts | {
         "modules": len(sources),
         "lines of source": sum(len(path.read_text(encoding="utf-8").splitlines()) for path in sources),
         "lines of tests": lines(root, "tests/**/*.py"),
         "words of pages": words(pages),
         "words of the README": words([root / "README.md"]),
+        "configuration keys": len(configuration_keys(root / "configs")),
+        "constants of vision without a tag": len(untagged_constants(root / "vision_pc" / "core")),
+        "constants of the controller without a tag": len(untagged_constants(root / "controller" / "core")),
     }
+
+
+_ALIKE = re.compile(r"\.(slew|lift|tilt|wrist[123]|left|right|servo|mobile|boom|arm|valve_sets)(?=\.)")
+
+
+def configuration_keys(configs: Path) -> set[str]:
+    """The keys of the base files; what is said again of each joint, eye, boom or valve set counts once."""
+
+    def leaves(node: dict[str, Any], path: str) -> Iterator[str]:
+        for key, value in node.items():
+            below = f"{path}.{key}"
+            yield from leaves(value, below) if isinstance(value, dict) else (_ALIKE.sub(".*", below),)
+
+    bases = ("arm", "controller", "plant", "plant_service", "scene", "vision")
+    texts = {base: (configs / f"{base}.yaml").read_text(encoding="utf-8") for base in bases}
+    return {key for base, text in texts.items() for key in leaves(yaml.safe_load(text), base)}
+
+
+_CONSTANT = re.compile(r"^_?[A-Z][A-Z0-9_]*(?:, _?[A-Z][A-Z0-9_]*)* = -?[\d(].*$", re.MULTILINE)
+
+
+def untagged_constants(folder: Path) -> list[str]:
+    """Module-level numbers below ``folder`` on lines without a tag of their source: [S], [M], [E] or [D]."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.rglob("*.py"))}
+    lines_of = [(name, line) for name, text in texts.items() for line in _CONSTANT.findall(text)]
+    return [f"{name}: {line}" for name, line in lines_of if not re.search(r"\[[SMED]\]", line)]
 
 
 def main(root: Path) -> None:

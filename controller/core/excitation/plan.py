@@ -68,9 +68,9 @@ class ExcitationPlan(NamedTuple):
     strokes: tuple[Stroke, ...]
 
 
-_FIRST_SHARE = 0.4  # of the ramps' top speed
-_PACES = (1.0, 2.0)
-_STEP_SHARES = (0.35, 0.7, 1.0)  # of the ramp's top speed
+_FIRST_SHARE = 0.4  # [D] of the ramps' top speed
+_PACES = (1.0, 2.0)  # [D]
+_STEP_SHARES = (0.35, 0.7, 1.0)  # [D] of the ramp's top speed
 
 
 def strokes_of(joints: tuple[int, ...], top_speed: Array, ramps: int) -> tuple[Stroke, ...]:
@@ -118,7 +118,7 @@ def excitation_plan(arm: NominalArm, config: ControllerConfig) -> ExcitationPlan
     return ExcitationPlan(limits, strokes_of(chosen.joints, top_speed, chosen.ramps))
 
 
-SWING_RAD_S = 4.0e-3  # a reversal counts from this speed on either side
+SWING_RAD_S = 4.0e-3  # [D] a reversal counts from this speed on either side
 
 
 class Phase(IntEnum):

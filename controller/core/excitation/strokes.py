@@ -31,9 +31,9 @@ from controller.core.excitation.valve_seen import (
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.joint_control import pt1_step
 
-_BLOCKED_S = 1.0  # without motion under a valve that moved the joint before
-_OSCILLATIONS = 4  # reversals of the speed in one stroke
-_OVER = 1.6  # of the travel asked for, at which the stroke is broken off
+_BLOCKED_S = 1.0  # [D] without motion under a valve that moved the joint before
+_OSCILLATIONS = 4  # [D] reversals of the speed in one stroke
+_OVER = 1.6  # [D] of the travel asked for, at which the stroke is broken off
 
 
 def room_for(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Trouble | None]:
@@ -82,22 +82,22 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
     return None
 
 
-_SPEED_FILTER_S = 0.06  # an encoder's last digit is 0.2 mrad/s behind it
-_STILL_RAD_S = 1.0e-3
+_SPEED_FILTER_S = 0.06  # [D] an encoder's last digit is 0.2 mrad/s behind it
+_STILL_RAD_S = 1.0e-3  # [D]
 # A joint behind a closed valve that leaks creeps steadily, which is rest as well: nothing swings.
-_DRIFT_FILTER_S = 1.0
-_CREEPS_RAD_S = 1.5e-3  # a wrist's, twice
-_FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its work
-_STANDS_S = 0.4  # longer than a swinging load stands at its turn, while oil still flows
-_UP_SHARE = 0.45  # of the way, on which a ramp rises
-_LOW = 0.3  # of a ramp's top speed (and its square, of the way): where it surely moves
-_UNSURE = 3.0  # times what a ramp begins below a rim that only a search has seen
+_DRIFT_FILTER_S = 1.0  # [D]
+_CREEPS_RAD_S = 1.5e-3  # [E] a wrist's, twice
+_FALLEN = 0.05  # [D] of the ramp's top speed, at which a falling ramp has done its work
+_STANDS_S = 0.4  # [E] longer than a swinging load stands at its turn, while oil still flows
+_UP_SHARE = 0.45  # [D] of the way, on which a ramp rises
+_LOW = 0.3  # [D] of a ramp's top speed (and its square, of the way): where it surely moves
+_UNSURE = 3.0  # [D] times what a ramp begins below a rim that only a search has seen
 # Another joint creeps behind its closed valve, quicker the more it bears: it is brought back between strokes.
-_CREPT_RAD = 10e-3
-_BACK_RAD = 2e-3
-_BACK_SPEED = 0.3  # of a ramp's top speed
-_ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes in time
-_RUNS_AWAY = 1.5  # times a ramp's top speed, at which a step has shown enough
+_CREPT_RAD = 10e-3  # [D]
+_BACK_RAD = 2e-3  # [D]
+_BACK_SPEED = 0.3  # [D] of a ramp's top speed
+_ENOUGH = 1.35  # [D] of the travel, at which a falling ramp is cut short: a slow valve still closes in time
+_RUNS_AWAY = 1.5  # [D] times a ramp's top speed, at which a step has shown enough
 
 
 def excite(

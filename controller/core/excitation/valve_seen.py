@@ -3,11 +3,11 @@
 from controller.core.excitation.plan import Excitation, ExcitationLimits, Phase, Stroke, sense_of
 
 # A spool with hysteresis stands still while its command turns back: that part is passed quickly.
-_TURNING_1_S = 1.5  # of the opening at the top, each second; at least the ramp's own rate
-TURNED = 0.93  # of the speed at the top, below which the spool follows again
-_LAG_S = 0.1  # of valve and speed filter, at most that of a servo valve
-_QUICKLY = 0.5  # of the opening at the top, beyond the known slack: a swing may hide that the speed falls
-_LEVER = 2.0  # of the way between low and top, below low: a rim further down was read off a swing
+_TURNING_1_S = 1.5  # [D] of the opening at the top, each second; at least the ramp's own rate
+TURNED = 0.93  # [D] of the speed at the top, below which the spool follows again
+_LAG_S = 0.1  # [E] of valve and speed filter, at most that of a servo valve
+_QUICKLY = 0.5  # [D] of the opening at the top, beyond the known slack: a swing may hide that the speed falls
+_LEVER = 2.0  # [D] of the way between low and top, below low: a rim further down was read off a swing
 
 
 def side_of(sense: float) -> int:

@@ -18,7 +18,7 @@ Rows = tuple[Triple, Triple, Triple]
 Vector = Sequence[float] | npt.NDArray[np.float64]
 
 # Below this angle the trigonometric quotients are replaced by their series (truncation below 1e-16).
-SMALL_ANGLE = 0.02
+SMALL_ANGLE = 0.02  # [D]
 
 
 @kernel

@@ -13,13 +13,13 @@ from protocol.faults import Reason
 from protocol.pose import Pose, is_usable
 from protocol.reference_messages import ReferencePath, ReferencePose
 
-QUATERNION_TOLERANCE = 1e-3
+QUATERNION_TOLERANCE = 1e-3  # [D]
 # How much faster than its limit an explicitly timed path may be: the sampling error of its peaks.
-_SPEED_TOLERANCE = 2e-3
+_SPEED_TOLERANCE = 2e-3  # [D]
 # From a moving state the shape of a path depends on its duration, so that is found by steps of at least
 # this factor.
-_STRETCH = 1.15
-_STRETCHES = 24
+_STRETCH = 1.15  # [D]
+_STRETCHES = 24  # [D]
 
 
 class Refusal(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from foundation.compiled import kernel
 
-_TURN = 0.1  # of the hysteresis: a command that comes back by less has not turned
+_TURN = 0.1  # [D] of the hysteresis: a command that comes back by less has not turned
 
 
 @kernel

@@ -18,9 +18,9 @@ from foundation.compiled import kernel
 from nominal_arm.description import CylinderDrive, Drive, RatedSupply
 
 # A cylinder's lever arm vanishes at the ends of a linkage; below this the map is held constant.
-_LEVER_MIN_M = 0.05
+_LEVER_MIN_M = 0.05  # [D]
 # The least share of the rated pressure that counts as available: a stalled drive still has a finite gain.
-_AVAILABLE_MIN = 0.1
+_AVAILABLE_MIN = 0.1  # [D]
 
 
 # Columns of the drive table. A cylinder's two sides of its triangle (m; LONG 0: a rotary actuator), the joint

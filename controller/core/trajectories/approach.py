@@ -32,7 +32,7 @@ from foundation.compiled import kernel
 
 AXES = 6
 # Share of its speed limit that a moving reference may use: the rest is for catching up with it.
-_TWIST_SHARE = 0.8
+_TWIST_SHARE = 0.8  # [D]
 
 
 class AxisLimits(NamedTuple):

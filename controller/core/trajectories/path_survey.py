@@ -28,16 +28,16 @@ SAMPLES = (
     24  # a multiple of 2: the peak speed of a quintic is at its middle; peak acceleration is met to 0.1 %
 )
 # Between two samples of a smooth joint path no joint turns this far; a wrist that flips does.
-_FLIP_RAD = 0.6
+_FLIP_RAD = 0.6  # [D]
 # Sines of wrist 2 from stretched: damped below the first, where the least singular value is 0.05; within the
 # second the next of SAMPLES may lie beyond the singularity.
 _DAMPED, _BESIDE = math.sin(math.radians(4.5)), math.sin(math.radians(25.0))
-_PARTS = 8
-_SWING_RAD = 0.2  # of wrist 1, left to the servo while damped
+_PARTS = 8  # [D]
+_SWING_RAD = 0.2  # [D] of wrist 1, left to the servo while damped
 # A step in which no joint turns further, with a wrist bent by more (a sine) at both ends, hides nothing: seen
 # from the singularity it is a short chord, so the wrist stays far from being damped, and further still from a
 # flip.
-_SHORT_RAD, _BENT = 0.05, math.sin(math.radians(10.0))
+_SHORT_RAD, _BENT = 0.05, math.sin(math.radians(10.0))  # [D]
 
 SPEED, ACCELERATION, TURN_SPEED, TURN_ACCELERATION, JOINT_SPEED = range(5)
 

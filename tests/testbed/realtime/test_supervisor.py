@@ -58,8 +58,8 @@ def test_a_service_that_says_nothing_is_not_waited_for_for_ever(tmp_path: Path) 
         with pytest.raises(ServiceFailed) as caught:
             supervisor.start(service("silent"), timeout_s=0.5)
         assert caught.value.cause == "service.not_ready"
-    finally:
-        assert supervisor.stop() == {"service": 0}
+    finally:  # on a busy machine it may not even have begun to listen to signals
+        assert supervisor.stop()["service"] in (0, -signal.SIGTERM)
 
 
 def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
