@@ -10,7 +10,7 @@ from foundation.service_main import ServiceOptions, ServiceProgram, service_main
 from nominal_arm.description import NominalArm
 
 
-def _made(options: ServiceOptions, log: EventLog) -> ControllerService:
+def _make_service(options: ServiceOptions, log: EventLog) -> ControllerService:
     files, overrides = options.config_dir, options.overrides
     arm = load(NominalArm, files / "arm.yaml", overrides.get("arm"))
     config = load(ControllerConfig, files / "controller.yaml", overrides.get("controller"))
@@ -23,7 +23,7 @@ PROGRAM = ServiceProgram(
     example="python -m controller --config-dir configs --set controller.cycle_ms=2 --record-dir run",
     files="arm.yaml and controller.yaml",
     records="the last scans after a fault",
-    make=_made,
+    make=_make_service,
     live="controller",
 )
 

@@ -39,7 +39,7 @@ class JointControlConfig(StrictModel):
     valve_limit: float = Field(gt=0.0, le=1.0)
 
     @model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _check_order(self) -> Self:
         if max(self.gain_1_s) > 50.0:
             raise ValueError(f"gain_1_s: {max(self.gain_1_s)} is above 50")
         if not all(0.0 <= value <= 100.0 for value in self.pressure_damping_mrad_s_bar):
@@ -156,7 +156,7 @@ class SupervisionConfig(StrictModel):
     joint_overtravel_deg: float = Field(ge=0.0, le=10.0)
 
     @model_validator(mode="after")
-    def _bounded(self) -> Self:
+    def _check_order(self) -> Self:
         if not all(0.0 < value <= 90.0 for value in self.following_error_deg):
             raise ValueError(f"following_error_deg: {self.following_error_deg} must lie in 0…90, 0 excluded")
         return self

@@ -8,7 +8,7 @@ from plant_emulator.config.service import load_plant_side
 from plant_emulator.shell.service import PlantService
 
 
-def _made(options: ServiceOptions, log: EventLog) -> PlantService:
+def _make_service(options: ServiceOptions, log: EventLog) -> PlantService:
     return PlantService(load_plant_side(options.config_dir, options.overrides), options, log)
 
 
@@ -18,7 +18,7 @@ PROGRAM = ServiceProgram(
     example=("python -m plant_emulator --config-dir configs --set plant.payload.mass_kg=50 --record-dir run"),
     files="plant.yaml, scene.yaml and plant_service.yaml",
     records="the truth, truth.mcap,",
-    make=_made,
+    make=_make_service,
     live="plant_service",
     switches=(
         Switch(

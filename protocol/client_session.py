@@ -153,7 +153,7 @@ class ReferenceClient:
             return []
         if self.connected:
             self._send(Bye(reason), now_ns)
-        return [self._lost(reason)]
+        return [self._end_session(reason)]
 
     def tick(self, now_ns: int) -> list[ClientEvent]:
         """Repeats HELLO, sends heartbeats and unanswered requests when due, and notices a silent controller.
@@ -166,7 +166,7 @@ class ReferenceClient:
             return []
         if now_ns > self._silent_at_ns():
             self._send(Bye(Reason.LINK_TIMEOUT), now_ns)
-            return [self._lost(Reason.LINK_TIMEOUT)]
+            return [self._end_session(Reason.LINK_TIMEOUT)]
         if now_ns >= self._echoes.due_ns:
             self._echoes.schedule_next(now_ns)
             self._send(Heartbeat(now_ns), now_ns)
@@ -192,7 +192,7 @@ class ReferenceClient:
         if self._phase is _Phase.CONNECTING and datagram.header.session != self._channel.session:
             return self._answered_hello(datagram, data, now_ns)
         if self._phase is _Phase.CONNECTING and isinstance(datagram.message, Bye):
-            return self._refused(datagram.message.reason, datagram.header, data)
+            return self._refuse(datagram.message.reason, datagram.header, data)
         if not self.connected or datagram.header.session != self._channel.session:
             return [self._foreign("session.unknown", f"session {datagram.header.session:x}")]
         forged = self._channel.unauthentic(data, datagram.header, self._tally)
@@ -222,7 +222,7 @@ class ReferenceClient:
         if isinstance(answer, DatagramDropped):
             return [answer]
         if isinstance(answer, Reason):
-            return [self._lost(answer)]
+            return [self._end_session(answer)]
         assert isinstance(welcome, Welcome)
         self._channel = answer
         self._channel.hear(header, now_ns, None, self._tally)
@@ -231,19 +231,19 @@ class ReferenceClient:
         self._phase = _Phase.CONNECTED
         return [Connected(header.session, welcome)]
 
-    def _refused(self, reason: Reason, header: Header, data: bytes) -> list[ClientEvent]:
+    def _refuse(self, reason: Reason, header: Header, data: bytes) -> list[ClientEvent]:
         # A refusal cannot be signed: there is no session. Who demands signatures takes it for a hint alone.
         forged = self._channel.unauthentic(data, header, self._tally)
         if forged:
             return [forged, ConnectionDelayed(reason)]
         if reason is Reason.SESSION_OCCUPIED:
             return [ConnectionDelayed(reason)]
-        return [self._lost(reason)]
+        return [self._end_session(reason)]
 
     def _in_session(self, datagram: Datagram, now_ns: int) -> list[ClientEvent]:
         header, message = datagram
         if isinstance(message, Bye):
-            return [self._lost(message.reason)]
+            return [self._end_session(message.reason)]
         if header.minor != self._channel.minor:
             return [self._foreign("session.wrong_minor", f"minor {header.minor}: not the negotiated one")]
         if not isinstance(message, Welcome | HeartbeatReply | Acknowledgement | State | StreamRefused):
@@ -263,7 +263,7 @@ class ReferenceClient:
             return [AcknowledgementReceived(message)]
         return []
 
-    def _lost(self, reason: Reason) -> SessionLost:
+    def _end_session(self, reason: Reason) -> SessionLost:
         self._welcome = None
         self._phase = _Phase.CLOSED
         return SessionLost(reason, self._requests.give_up())

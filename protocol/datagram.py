@@ -124,7 +124,7 @@ def decode(datagram: bytes) -> Datagram:
     of docs/protocol.md. Whether a tag is there and right is for the session to judge
     (``protocol.authentication.fault_of``), which knows the key.
     """
-    kind, header, payload = _opened(datagram)
+    kind, header, payload = _open(datagram)
     codec = _CODECS.get(kind)
     if codec is None:
         raise DatagramRefused("datagram.unknown_kind", f"kind {kind}: not one of 1…{max(Kind)}")
@@ -144,7 +144,7 @@ def content_of(request: Request | UnusableRequest) -> bytes:
     return codec.layout.pack(*_flattened(request, codec))
 
 
-def _opened(datagram: bytes) -> tuple[int, Header, bytes]:
+def _open(datagram: bytes) -> tuple[int, Header, bytes]:
     size = len(datagram)
     if size < HEADER_BYTES:
         raise DatagramRefused("datagram.too_short", f"{size} bytes: a header alone has {HEADER_BYTES}")

@@ -223,12 +223,16 @@ def refusal(what: str, reason: Reason, value: float, limit: float, which: str = 
     ``which``: whose limit or what fault it is, where that is known: "of lift", "by overspeed".
     """
     words = reason.name.lower()
-    numbers = f": {_measured(reason, value)}, limit {_measured(reason, limit)}" if value or limit else ""
+    numbers = (
+        f": {_number_with_unit(reason, value)}, limit {_number_with_unit(reason, limit)}"
+        if value or limit
+        else ""
+    )
     named = f" {which}" if which else ""
     return RequestRefused(f"refused.{words}", f"{what} refused: {words.replace('_', ' ')}{named}{numbers}")
 
 
-def _measured(reason: Reason, number: float) -> str:
+def _number_with_unit(reason: Reason, number: float) -> str:
     """Angles are told in degrees, as everywhere on the faces for people."""
     unit = REASON_UNITS.get(reason)
     if unit == "rad":

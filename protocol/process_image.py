@@ -164,7 +164,7 @@ def encode_sensors(image: SensorImage) -> list[int]:
     beyond 32 bits.
     """
     pressures = [pressure for pair in image.pressures_bar for pressure in pair]
-    return _encoded(image._replace(pressures_bar=pressures), _INPUT)  # type: ignore[arg-type]
+    return _encode(image._replace(pressures_bar=pressures), _INPUT)  # type: ignore[arg-type]
 
 
 def acknowledge(words: list[int], echo_cycle: int, status: int) -> None:
@@ -179,7 +179,7 @@ def decode_sensors(words: Sequence[int]) -> SensorImage:
     Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), written
     after another table (``image.layout``), torn (``image.torn``).
     """
-    flat = SensorImage(*_decoded(words, _INPUT))
+    flat = SensorImage(*_decode(words, _INPUT))
     pressures: Any = flat.pressures_bar
     return flat._replace(pressures_bar=tuple(zip(pressures[0::2], pressures[1::2], strict=True)))
 
@@ -189,7 +189,7 @@ def encode_valves(image: ValveImage) -> list[int]:
 
     Raises RequestRefused for NaN, infinity or a spool command beyond −1…1.
     """
-    return _encoded(image, _OUTPUT)
+    return _encode(image, _OUTPUT)
 
 
 def decode_valves(words: Sequence[int]) -> ValveImage:
@@ -198,10 +198,10 @@ def decode_valves(words: Sequence[int]) -> ValveImage:
     Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), a spool
     command of −32768 (``image.out_of_range``), which is found in a torn image too, torn (``image.torn``).
     """
-    return ValveImage(*_decoded(words, _OUTPUT))
+    return ValveImage(*_decode(words, _OUTPUT))
 
 
-def _encoded(values: Sequence[Any], codec: _Codec) -> list[int]:
+def _encode(values: Sequence[Any], codec: _Codec) -> list[int]:
     """The words of an image whose ``values`` are those of the codec's rows."""
     numbers: list[float] = []
     for value, row in zip(values, codec.rows, strict=True):
@@ -217,12 +217,12 @@ def _encoded(values: Sequence[Any], codec: _Codec) -> list[int]:
         numbers[place] %= CYCLE_MODULUS
     try:
         raw = list(map(round, map(mul, numbers, codec.scales)))
-        return _packed(raw, codec)
+        return _pack(raw, codec)
     except (ValueError, OverflowError, struct.error):  # not finite, or out of range: which is found below
-        return _packed(list(map(_raw, numbers, codec.said)), codec)
+        return _pack(list(map(_raw, numbers, codec.said)), codec)
 
 
-def _packed(raw: list[int], codec: _Codec) -> list[int]:
+def _pack(raw: list[int], codec: _Codec) -> list[int]:
     """The words of ``raw``. Raises struct.error for a value that its row does not hold."""
     for place, constant in codec.constants:
         raw.insert(place, constant)
@@ -246,7 +246,7 @@ def _raw(value: float, row: Register) -> int:
     )
 
 
-def _decoded(words: Sequence[int], codec: _Codec) -> list[Any]:
+def _decode(words: Sequence[int], codec: _Codec) -> list[Any]:
     """The values of the codec's rows, a tuple where a row has several."""
     if len(words) * 2 != codec.layout.size:
         raise ImageRefused("image.bad_length", f"{len(words)} words: the image has {codec.layout.size // 2}")

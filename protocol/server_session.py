@@ -108,7 +108,7 @@ class ReferenceServer:
             self._unconfirmed = None
         if self._session is None or self.link_alive(now_ns):
             return []
-        return [self._closed(Reason.LINK_TIMEOUT, now_ns, tell_peer=True)]
+        return [self._close(Reason.LINK_TIMEOUT, now_ns, tell_peer=True)]
 
     def receive(self, data: bytes, source: Source, now_ns: int) -> list[ServerEvent]:
         """Events of one datagram read from ``source`` at ``now_ns``."""
@@ -158,7 +158,7 @@ class ReferenceServer:
 
     def close(self, now_ns: int, reason: Reason = Reason.SHUTDOWN) -> list[ServerEvent]:
         """Ends the session, if there is one, and tells the peer why."""
-        return [self._closed(reason, now_ns, tell_peer=True)] if self._session else []
+        return [self._close(reason, now_ns, tell_peer=True)] if self._session else []
 
     def outgoing(self, now_ns: int | None = None) -> list[tuple[bytes, Source]]:
         """Datagrams to be sent now, in order, and where to; stamped ``now_ns``, else when queued."""
@@ -200,7 +200,7 @@ class ReferenceServer:
         assert granted is not None
         events: list[ServerEvent] = []
         if self._session:
-            events.append(self._closed(Reason.PEER_RESTARTED, now_ns, tell_peer=False))
+            events.append(self._close(Reason.PEER_RESTARTED, now_ns, tell_peer=False))
         self._session, self._unconfirmed = granted, None
         return [*events, SessionOpened(granted.channel.session, granted.source)]
 
@@ -225,7 +225,7 @@ class ReferenceServer:
             if session is self._unconfirmed:
                 self._unconfirmed = None
                 return []
-            return [self._closed(message.reason, now_ns, tell_peer=False)]
+            return [self._close(message.reason, now_ns, tell_peer=False)]
         if not isinstance(message, Heartbeat | StreamedPose | Request | UnusableRequest):
             return [self._foreign("session.wrong_direction", f"{type(message).__name__} from a client")]
         dropped = session.channel.hear(header, now_ns, self._max_age_ns, self._tally)
@@ -288,7 +288,7 @@ class ReferenceServer:
         self._refused_at_ns = now_ns
         self._outbox.append((Bye(reason), Channel(session, VERSION_MINOR, 0), source, now_ns))
 
-    def _closed(self, reason: Reason, now_ns: int, *, tell_peer: bool) -> SessionClosed:
+    def _close(self, reason: Reason, now_ns: int, *, tell_peer: bool) -> SessionClosed:
         session = self._session
         assert session is not None
         if tell_peer:

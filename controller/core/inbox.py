@@ -32,7 +32,7 @@ class Inbox:
                 self._streamed = _newest(self._streamed, event)
             elif isinstance(event, SessionClosed):
                 # A stop is still obeyed; nothing else is done for a peer that has gone.
-                self._last_words = _bounded([*(self._last_words or ()), *self._stops])[0]
+                self._last_words = _without_repeats([*(self._last_words or ()), *self._stops])[0]
                 self._stops, self._waiting, self._streamed = [], [], None
                 refused.clear()
         return refused
@@ -60,7 +60,7 @@ class Inbox:
         """The answers to requests that ``request`` overtakes."""
         gone: list[Request] = []
         if is_stop(request):
-            self._stops, repeated = _bounded([*self._stops, request])
+            self._stops, repeated = _without_repeats([*self._stops, request])
             gone, self._waiting = [*repeated, *self._waiting], []
         else:
             commands = self._waiting
@@ -79,7 +79,7 @@ def _newest(before: StreamedPoseReceived | None, event: StreamedPoseReceived) ->
     return event if is_newer(event.message.number, before.message.number) else before
 
 
-def _bounded(stops: list[Command]) -> tuple[list[Command], list[Command]]:
+def _without_repeats(stops: list[Command]) -> tuple[list[Command], list[Command]]:
     """``stops`` without the oldest of those that are said again later, as far as too many wait; and those."""
     kept, repeated = list(stops), []
     while len(kept) > WAITING:

@@ -162,10 +162,10 @@ class PlantLink:
         try:
             answer = await connection.ask(request, self._timeout_s)
         except TimeoutError as error:
-            self._dropped("timeout", str(error))
+            self._drop("timeout", str(error))
             return None
         except OSError as error:
-            self._dropped("connection", str(error))
+            self._drop("connection", str(error))
             return None
         if isinstance(answer, ExceptionResponse) and answer.function_code == _EXCHANGE | 0x80:
             # The coupler answered, so the connection is sound: 6 means that another master owns the outputs.
@@ -176,7 +176,7 @@ class PlantLink:
             return PlantRefusal(code)
         if not isinstance(answer, ReadWriteMultipleRegistersResponse) or len(answer.registers) != INPUT_WORDS:
             came = f"{len(answer.registers)} of {answer.function_code}" if answer else "no sound answer"
-            self._dropped("wrong_answer", f"{came}: wanted {INPUT_WORDS} words of function code {_EXCHANGE}")
+            self._drop("wrong_answer", f"{came}: wanted {INPUT_WORDS} words of function code {_EXCHANGE}")
             return None
         self.round_trip.add(time.monotonic_ns() - began_ns)
         return list(answer.registers)
@@ -188,7 +188,7 @@ class PlantLink:
                 request = WriteSingleRegisterRequest(address=WATCHDOG_RESET, registers=[word])
                 await connection.ask(request, self._timeout_s)
         except OSError as error:  # a TimeoutError is one too
-            self._dropped("reset", str(error))
+            self._drop("reset", str(error))
             return
         self._log.write("coupler_watchdog_reset", "warning", cause="plant_link.coupler_watchdog")
 
@@ -197,7 +197,7 @@ class PlantLink:
         fields = {"cause": f"plant_link.{cause}", "detail": detail, "count": self.failures[cause]}
         self._log.write_repeated(cause, "plant_exchange_failed", "warning", **fields)
 
-    def _dropped(self, cause: str, detail: str) -> None:
+    def _drop(self, cause: str, detail: str) -> None:
         self._failed(cause, detail)
         if self._connection is not None:
             self._connection.close()

@@ -93,7 +93,7 @@ class ReferencePort:
     def close(self) -> None:
         """Say goodbye to the peer and release the port."""
         now_ns = time.monotonic_ns()
-        self._told(self.server.close(now_ns, Reason.SHUTDOWN))
+        self._report_events(self.server.close(now_ns, Reason.SHUTDOWN))
         self._send()
         self._rejoin()
         self._unwatch(self._everybodys)
@@ -103,7 +103,7 @@ class ReferencePort:
 
         All that has come is read first, so that no stop among it misses this scan.
         """
-        self._told(self.server.tick(now_ns))
+        self._report_events(self.server.tick(now_ns))
         for reader in self._readers():
             self.flooded += reader.paused
             reader.left = self._budget(reader)
@@ -160,14 +160,14 @@ class ReferencePort:
         most = _READ_A_CYCLE if mine else reader.left - len(reader.arrivals)
         left_out = reader.read(most, self.server.session)
         if left_out:
-            self._dropped("link.left_out", "more came than can be judged in time", left_out)
+            self._count_drop("link.left_out", "more came than can be judged in time", left_out)
         slice_ = reader.arrivals.take(reader.left)
         reader.left -= len(slice_)
         if reader.left > 0 and reader.paused:
             self._resume(reader)
         elif reader.left <= 0 and not reader.paused:
             self._pause(reader)
-        self._told(self.server.receive_batch(slice_, time.monotonic_ns()))
+        self._report_events(self.server.receive_batch(slice_, time.monotonic_ns()))
         self._send()
 
     def _send(self) -> None:
@@ -175,7 +175,7 @@ class ReferencePort:
             with contextlib.suppress(OSError):  # the peer's absence is found by its silence
                 self._socket.sendto(data, source)  # type: ignore[call-overload]
 
-    def _told(self, events: list[ServerEvent]) -> None:
+    def _report_events(self, events: list[ServerEvent]) -> None:
         for answer in self._inbox.put(events):
             self.server.acknowledge(answer, time.monotonic_ns())
         for event in events:
@@ -186,9 +186,9 @@ class ReferencePort:
                 self._rejoin()
                 self._log.write("session_closed", session=f"{event.session:x}", reason=event.reason.name)
             elif isinstance(event, DatagramDropped):
-                self._dropped(event.cause, event.detail, 1)
+                self._count_drop(event.cause, event.detail, 1)
 
-    def _dropped(self, cause: str, detail: str, count: int) -> None:
+    def _count_drop(self, cause: str, detail: str, count: int) -> None:
         self.drops[cause] += count
         fields = {"cause": cause, "detail": detail, "count": self.drops[cause]}
         self._log.write_repeated(cause, "datagram_dropped", "warning", **fields)

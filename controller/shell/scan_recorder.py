@@ -101,9 +101,9 @@ class TrialRecords:
         samples, self._program.samples = self._program.samples, []
         before = self._files[-1] if self._files else None
         recording = TrialFile(self._directory / name, samples, plan.strokes, self._told)
-        self._files.append(asyncio.ensure_future(self._written(before, recording)))
+        self._files.append(asyncio.ensure_future(self._write_scans(before, recording)))
 
-    async def _written(self, before: asyncio.Task[None] | None, recording: TrialFile) -> None:
+    async def _write_scans(self, before: asyncio.Task[None] | None, recording: TrialFile) -> None:
         if before is not None:
             await before  # in their order, so that the newest summary is written last
         try:

@@ -141,7 +141,7 @@ class ControllerService:
 
     async def _cycle(self, dt_ns: int) -> None:
         words = await self._plant.exchange(self._valve_words)
-        sensors, sensed_ns = self._decoded(words), time.monotonic_ns()
+        sensors, sensed_ns = self._decode_sensors(words), time.monotonic_ns()
         await self._task.second_part()  # what comes meanwhile is in this scan too
         now_ns = time.monotonic_ns()
         requests, alive = self._reference.take(now_ns)
@@ -164,7 +164,7 @@ class ControllerService:
         self._trials.follow()
         self._follow_up(self._program.state, requests, output, now_ns)
 
-    def _decoded(self, words: list[int] | PlantRefusal | None) -> SensorImage | PlantRefusal | None:
+    def _decode_sensors(self, words: list[int] | PlantRefusal | None) -> SensorImage | PlantRefusal | None:
         if not isinstance(words, list):
             return words
         try:
@@ -245,7 +245,7 @@ class ControllerService:
         """What is shown and what is recorded. Raises ConfigurationError."""
         config, recorded = self._config, self._record_dir is not None
         fifo = config.fifo_priority
-        show = open_show("controller", config.live, "controller.live", self._log, self._told, fifo)
+        show = open_show("controller", config.live, "controller.live", self._log, self._metrics_text, fifo)
         if config.recording_hz == 0.0 or (show is None and not recorded):
             if show is not None:
                 show.feed.opened(False)(Path(), (), {})  # figures alone
@@ -268,7 +268,7 @@ class ControllerService:
     def _work(self) -> dict[str, Tally]:
         return {"scans": Tally(self._task.lateness.count, self._task.overruns)}
 
-    def _told(self) -> str:
+    def _metrics_text(self) -> str:
         """Its text for Prometheus; asked for by the thread that feeds the live face."""
         spreads = (
             Spread("scan_lateness_seconds", "How late scans began.", self._task.lateness),

@@ -114,7 +114,7 @@ class CounterbalanceConfig(StrictModel):
 Joints = dict[JointName, JointValveConfig | None]
 
 
-def _told(
+def _value_of(
     own: JointValveConfig,
     common: Mapping[str, Any],
     key: str,
@@ -228,8 +228,8 @@ class ValvesConfig(StrictModel):
             return value
         for name in JOINT_NAMES:
             own = value.get(name) or JointValveConfig()
-            loop = _told(own, info.data, "hysteresis")
-            overlap = max(_told(own, info.data, "deadband", edge) for edge in EdgeOverlaps.model_fields)
+            loop = _value_of(own, info.data, "hysteresis")
+            overlap = max(_value_of(own, info.data, "deadband", edge) for edge in EdgeOverlaps.model_fields)
             if overlap + 0.5 * loop > 1.0 - LEAST_TRAVEL:
                 raise ValueError(
                     f"{name}: an overlap of {overlap:g} and half a hysteresis of {loop:g} must not take more "
@@ -254,7 +254,7 @@ class ValvesConfig(StrictModel):
         own = self.joints.get(name) or JointValveConfig()
 
         def told(key: str, part: str | None = None, otherwise: float = math.nan) -> float:
-            return _told(own, dict(self), key, part, otherwise)
+            return _value_of(own, dict(self), key, part, otherwise)
 
         return Valve(
             bandwidth_hz=told("bandwidth_hz"),

@@ -158,7 +158,7 @@ def create_app(plant: FaultedPlant, allowed: bool, origins: Sequence[str] = ()) 
     app = FastAPI(title="Longreach plant emulator", version="1", docs_url=None, redoc_url=None)
     if origins:
         app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"])
-    install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
+    install_problems(app, _STATUS_OF_CAUSE, _problem_of, None if allowed else _not_allowed)
     add_docs(app)
     _add_reading(app, plant, allowed)
     _add_changing(app, plant)
@@ -243,7 +243,7 @@ def _not_allowed(scope: Scope) -> Refusal | None:
     return problem(_STATUS_OF_CAUSE[cause], cause, why, instance=scope["path"])
 
 
-def _explained(error: RequestValidationError) -> dict[str, Any]:
+def _problem_of(error: RequestValidationError) -> dict[str, Any]:
     """The problem of an order that fits no schema; it says which value, and whether of a fault's own."""
     first = error.errors()[0]
     place = [str(part) for part in first["loc"]]

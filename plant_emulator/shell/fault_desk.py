@@ -33,7 +33,7 @@ _KIND = re.compile(r"[a-z][a-z0-9_]*")
 @cache
 def installed_faults() -> Extensions[type[OwnFault]]:
     """The classes that can be injected beside ours, and those that were left out."""
-    return installed(GROUP, FAULTS, _judged)
+    return installed(GROUP, FAULTS, _fault_class)
 
 
 def own_kinds() -> tuple[type[OwnFault], ...]:
@@ -46,7 +46,7 @@ def every_kind() -> dict[str, type[Any]]:
     return {**FAULTS, **installed_faults().found}
 
 
-def _judged(name: str, value: Any) -> type[OwnFault]:
+def _fault_class(name: str, value: Any) -> type[OwnFault]:
     kind: type[OwnFault] = of_type(type, "a class", value)
     if not issubclass(kind, OwnFault):
         why = f"{kind.__name__} is no plant_emulator.core.faults.kinds.OwnFault"

@@ -27,7 +27,7 @@ class Integrator:
     def start(self) -> None:
         """Begin at the next whole period of the monotonic clock."""
         first = (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
-        self._timer = PeriodicTimer(first, self._period_ns, self._expired)
+        self._timer = PeriodicTimer(first, self._period_ns, self._expire)
 
     def stop(self) -> None:
         """Stand still."""
@@ -45,7 +45,7 @@ class Integrator:
             **self.lateness.as_dict("late"),
         }
 
-    def _expired(self) -> None:
+    def _expire(self) -> None:
         timer = self._timer
         passed = 0 if timer is None else timer.passed()
         if timer is None or passed == 0:

@@ -96,7 +96,9 @@ class PlantService:
             ExitStack() as shown,
         ):
             fifo = service.fifo_priority
-            self._show = open_show(_NAME, service.live, "plant_service.live", self._log, self._told, fifo)
+            self._show = open_show(
+                _NAME, service.live, "plant_service.live", self._log, self._metrics_text, fifo
+            )
             if self._show is not None:
                 shown.callback(self._show.close)
             addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
@@ -110,7 +112,7 @@ class PlantService:
                 if await _first(children_ready, stop.wait()):
                     addresses["modbus"] = await self._coupler.start(modbus)
                     self._integrator.start()
-                    failed = await self._served(self._camera, addresses, stop)
+                    failed = await self._serve(self._camera, addresses, stop)
             finally:
                 await self._shut_down()
         if self._memory_at_end:
@@ -126,7 +128,7 @@ class PlantService:
         """End in good order, once the API has told who asked for it."""
         asyncio.get_running_loop().call_later(_ANSWERED_S, self._asked_to_end.set)
 
-    async def _served(
+    async def _serve(
         self, camera: CameraSender, addresses: dict[str, tuple[str, int]], stop: asyncio.Event
     ) -> bool:
         """Serve; return whether the renderer ended by itself before ``stop``."""
@@ -259,7 +261,7 @@ class PlantService:
             work["pictures"] = Tally(pictures["frames_rendered"], pictures["frames_skipped"])
         return work
 
-    def _told(self) -> str:
+    def _metrics_text(self) -> str:
         """Its text for Prometheus; asked for by the thread that feeds the live face."""
         spreads = (Spread("step_lateness_seconds", "How late steps began.", self._integrator.lateness),)
         figures = self._gathered() | {"log_lines_dropped": self._log.dropped}

@@ -64,7 +64,7 @@ class _Affected(ReferenceServer):
 
     def ends_the_session(self, data: bytes, source: object, now_ns: int) -> None:
         if self._session:
-            self._closed(Reason.SHUTDOWN, now_ns, tell_peer=False)
+            self._close(Reason.SHUTDOWN, now_ns, tell_peer=False)
 
     def is_answered(self, data: bytes, source: object, now_ns: int) -> None:
         self._refused_at_ns = None

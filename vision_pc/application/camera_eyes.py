@@ -128,7 +128,7 @@ class CameraEyes(FrameEyes[StereoPair]):
         X_BT = await self._at_rest_since(pair)
         self._asked = None
         try:
-            observation, found = await self.aside(lambda: self._measured(pair, click, newest))
+            observation, found = await self.aside(lambda: self._measure_click(pair, click, newest))
         except TargetRefused as refused:
             self._asked = pair if refused.candidates else None
             raise
@@ -186,7 +186,7 @@ class CameraEyes(FrameEyes[StereoPair]):
             )
         return now
 
-    def _measured(
+    def _measure_click(
         self, pair: StereoPair, click: Click, newest: StereoPair
     ) -> tuple[FrameObservation, TargetObservation]:
         before = None if self._latest is None else self._latest[1]

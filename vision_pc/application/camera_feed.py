@@ -61,7 +61,7 @@ class CameraFeed(Generic[F]):
         Raises LinkLost as the port says.
         """
         if not await self._clock.until(lambda: self._fresh_after(capture_ns), self._settings.stale_ms / 1e3):
-            raise self._lost()
+            raise self._link_lost()
         assert self._newest is not None
         return self._newest
 
@@ -100,7 +100,7 @@ class CameraFeed(Generic[F]):
             return "link.camera_silent"
         return self._trouble
 
-    def _lost(self) -> LinkLost:
+    def _link_lost(self) -> LinkLost:
         cause = self._trouble_now() or "link.camera_silent"
         age = (
             "no picture ever came"

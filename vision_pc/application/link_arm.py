@@ -177,13 +177,13 @@ class LinkArm:
                 continue
             done.append(state)
             if state.flags & FLAG_SETTLED:
-                return view_of((await self._rested(state.time_ns))[-1], self._link)
+                return view_of((await self._states_at_rest(state.time_ns))[-1], self._link)
             if state.time_ns - done[0].time_ns > self._settings.settle_timeout_s * 1e9:
-                rested = await self._rested(state.time_ns)
+                rested = await self._states_at_rest(state.time_ns)
                 view = view_of(self._still(rested), self._link)
                 return view._replace(unrest=_to_and_fro(done[len(done) // 2 :] + rested))
 
-    async def _rested(self, from_ns: int) -> list[State]:
+    async def _states_at_rest(self, from_ns: int) -> list[State]:
         """The states while the arm rests; by the controller's clock, so that lockstep can use it too."""
         states = []
         while True:
@@ -237,14 +237,14 @@ class CarryingArm:
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
         """As the arm's, watched."""
-        return await self._watched(lambda: self.driven.move_to(X_BT_ref, duration_s=duration_s))
+        return await self._move_watched(lambda: self.driven.move_to(X_BT_ref, duration_s=duration_s))
 
     async def follow(
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
     ) -> ArmView:
         """As the arm's, watched."""
         timed = partial(self.driven.follow, segment_s=segment_s, dwell_s=dwell_s)
-        return await self._watched(lambda: timed(waypoints))
+        return await self._move_watched(lambda: timed(waypoints))
 
     def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
         """As the arm's: whoever streams watches for himself."""
@@ -258,7 +258,7 @@ class CarryingArm:
         """As the arm's."""
         await self.driven.halt()
 
-    async def _watched(self, move: Callable[[], Awaitable[ArmView]]) -> ArmView:
+    async def _move_watched(self, move: Callable[[], Awaitable[ArmView]]) -> ArmView:
         if not self._camera.carries:
             return await move()
         async with self.watching.watch(markers=False, odometry=True):

@@ -297,7 +297,7 @@ class ReferenceLink:
         elif isinstance(event, Connected):
             self._lost_reason = None
         elif isinstance(event, SessionLost):
-            self._lost(event)
+            self._session_lost(event)
         elif isinstance(event, ConnectionDelayed):
             self._lost_reason = event.reason
         self._tell(event)
@@ -307,7 +307,7 @@ class ReferenceLink:
         for journal in (self._journal, *self.listeners):
             journal(event)
 
-    def _lost(self, event: SessionLost) -> None:
+    def _session_lost(self, event: SessionLost) -> None:
         self._lost_reason = event.reason
         self._losses += 1
         self._history.clear()

@@ -73,7 +73,7 @@ async def _watch(
         try:
             if not states:
                 await controller.command(CommandCode.ENABLE)
-                await _begun(application)
+                await _wait_for_start(application)
             state = controller.state
             while state.group_state is GroupState.MOVING:
                 states.append(state)
@@ -95,7 +95,7 @@ async def _disabled(application: VisionApplication) -> None:
         await controller.next_state()
 
 
-async def _begun(application: VisionApplication) -> None:
+async def _wait_for_start(application: VisionApplication) -> None:
     for _ in range(_BEGINS_STATES):
         if (await application.controller.next_state()).group_state is GroupState.MOVING:
             return

@@ -49,18 +49,20 @@ async def visit(
         application.camera.targets.aim(target)
         calibrated = application.track is None
         try:
-            result = await _driven(application, settings, told)
+            result = await _drive_to_target(application, settings, told)
         except MeasurementFailed as error:
             if calibrated or error.cause != "measurement.ill_conditioned":
                 raise
             calibrated, application.track = True, None
-            result = await _driven(application, settings, told)
+            result = await _drive_to_target(application, settings, told)
         kept = application.camera.targets.get(target)
         visited.append(Visited(target, kept.known, kept.way_m, calibrated, result))
     return tuple(visited)
 
 
-async def _driven(application: VisionApplication, settings: VisitSettings, report: Report) -> CorrectedResult:
+async def _drive_to_target(
+    application: VisionApplication, settings: VisitSettings, report: Report
+) -> CorrectedResult:
     arm, eyes, map_settings = application.arm, application.eyes, application.settings.local_map
     track, application.track = application.track, None
     if track is None:

@@ -66,7 +66,7 @@ class DirectorySettings(StrictModel):
     speed: float = Field(1.0, ge=0.0, le=1000.0)
 
 
-def _opened(value: Any, info: ValidationInfo) -> Any:
+def _load_named_file(value: Any, info: ValidationInfo) -> Any:
     """A mapping as it stands, or what is in the file that is named."""
     if not isinstance(value, str | Path):
         return value
@@ -112,7 +112,7 @@ class CameraSettings(StrictModel):
     directory: DirectorySettings = DirectorySettings()
     width_px: int = Field(ge=64, le=8192)
     height_px: int = Field(ge=64, le=8192)
-    calibration: Annotated[Calibration, BeforeValidator(_opened)]
+    calibration: Annotated[Calibration, BeforeValidator(_load_named_file)]
 
     @model_validator(mode="before")
     @classmethod

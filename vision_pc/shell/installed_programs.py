@@ -16,7 +16,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")  # is an address of the REST 
 @cache
 def installed_programs() -> Extensions[Program[Any, Any]]:
     """Those that can be run beside ours, and those that were left out."""
-    return installed(GROUP, [program.name for program in PROGRAMS], _judged)
+    return installed(GROUP, [program.name for program in PROGRAMS], _program_of)
 
 
 def every_program() -> tuple[Program[Any, Any], ...]:
@@ -24,7 +24,7 @@ def every_program() -> tuple[Program[Any, Any], ...]:
     return (*PROGRAMS, *installed_programs().found.values())
 
 
-def _judged(name: str, value: Any) -> Program[Any, Any]:
+def _program_of(name: str, value: Any) -> Program[Any, Any]:
     program: Program[Any, Any] = of_type(Program, "a vision_pc.application.program.Program", value)
     if program.name != name or not _NAME.fullmatch(name):
         why = f"the program calls itself {program.name!r}: wanted the same name, such as there-and-back"

@@ -112,7 +112,7 @@ class VisionService:
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         MachineWatch(camera, link, application.begin_anew)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
-        application.overload, application.figures = lambda: watch.overload, self._counted
+        application.overload, application.figures = lambda: watch.overload, self._counters
         application.links, self._told = nominal.links, partial(told, application)
         self._record_from(eyes, application)
         operations = Operations(application.arm.halt, log)
@@ -177,7 +177,7 @@ class VisionService:
             work["scans"] = Tally(state.cycle, state.overruns)
         return work
 
-    def _counted(self) -> dict[str, Any]:
+    def _counters(self) -> dict[str, Any]:
         return self._gathered() | {"log_lines_dropped": self._log.dropped}
 
     def _gathered(self) -> dict[str, Any]:

@@ -79,10 +79,10 @@ def excitation_scan(
     state = state._replace(inner=inner)
     sample = None
     if inner.mode is Mode.STANDBY and state.excitation is None and not state.finished(plan):
-        state = _started(state)
+        state = _start_program(state)
         events.append(ScanEvent("excitation", "begun", float(state.stroke), float(len(plan.strokes))))
     elif inner.mode is not Mode.MOVING:
-        state = _left(state, inner.mode)
+        state = _after_stop(state, inner.mode)
     elif state.excitation is not None:
         state, sample = _excited(settings, plan, state, inputs, events)
     state = _with_idle_servo(state)
@@ -107,7 +107,7 @@ def _without_references(
     return kept, tuple(Acknowledgement(each.command_id, Reason.MOVING, 0.0, 0.0) for each in refused)
 
 
-def _started(state: ExcitationProgram) -> ExcitationProgram:
+def _start_program(state: ExcitationProgram) -> ExcitationProgram:
     """``state`` in motion: the group's desired motion stands for as long as valves are tried out."""
     inner = state.inner
     tool = inner.tool
@@ -119,7 +119,7 @@ def _started(state: ExcitationProgram) -> ExcitationProgram:
     )
 
 
-def _left(state: ExcitationProgram, mode: Mode) -> ExcitationProgram:
+def _after_stop(state: ExcitationProgram, mode: Mode) -> ExcitationProgram:
     """``state`` after a stop or a fault; what is disabled may be enabled, and begun, again."""
     if state.excitation is None:
         return state

@@ -219,7 +219,7 @@ def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) ->
     return sense * min(rim + (stroke.speed / slope if slope > 0.0 else 0.0), limits.spool_max)
 
 
-def _wanted(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
+def _stroke_travel(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
     """How far (rad) the stroke shall turn the joint: out by the travel, back to where it stood."""
     travel = float(limits.travel[stroke.joint])
     if stroke.outward:
@@ -268,7 +268,7 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
 
 def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Array, step: float) -> Excitation:
     sense, turned = sense_of(state, stroke), turned_by(state, stroke, q)
-    speed, wanted = sense * float(state.speed[stroke.joint]), _wanted(limits, state, stroke)
+    speed, wanted = sense * float(state.speed[stroke.joint]), _stroke_travel(limits, state, stroke)
     if speed >= stroke.speed or turned >= _UP_SHARE * wanted:
         state = with_rim(state, stroke, speed)
         back = sense * float(state.slack[stroke.joint])
@@ -286,7 +286,7 @@ def _step(settings: ExcitationPlan, state: Excitation, q: Array) -> Excitation:
     limits, stroke = settings.limits, settings.strokes[state.stroke]
     speed = sense_of(state, stroke) * float(state.speed[stroke.joint])
     state = state._replace(top_speed=max(state.top_speed, speed))
-    far = turned_by(state, stroke, q) >= _wanted(limits, state, stroke)
+    far = turned_by(state, stroke, q) >= _stroke_travel(limits, state, stroke)
     if far or state.phase_s >= limits.step_s or speed > _RUNS_AWAY * float(limits.top_speed[stroke.joint]):
         return _done(with_steeper(state, stroke), settings)
     return state

@@ -55,7 +55,7 @@ def admit(
         return Refusal(Reason.TOO_FAR, distance, furthest)
     if wanted > 0.0:
         durations = np.full(len(poses), wanted)
-        found = _timed(settings, path_from(start, p, quaternions, durations, dwell), q_start)
+        found = _path_with_durations(settings, path_from(start, p, quaternions, durations, dwell), q_start)
     else:
         found = _shortest(settings, start, q_start, p, quaternions, dwell)
     if isinstance(found, Path) and found.duration_s > settings.motion.duration_max:
@@ -100,7 +100,7 @@ def _ratios(settings: ScanSettings, found: Survey) -> Array:
     return ratios
 
 
-def _timed(settings: ScanSettings, path: Path, q_start: Array) -> Path | Refusal:
+def _path_with_durations(settings: ScanSettings, path: Path, q_start: Array) -> Path | Refusal:
     found = survey(settings.planning, path, q_start)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)

@@ -155,7 +155,7 @@ def board_plates(config: AnyBoardConfig) -> tuple[Plate, ...]:
         board = charuco_board(config)
         middles = np.asarray(board.getObjPoints(), dtype=np.float64).mean(axis=1)
         markers = [
-            _marker(config, X_OP @ _shifted(x - 0.5 * width, 0.5 * height - y), config.dictionary, number,
+            _marker(config, X_OP @ _translation(x - 0.5 * width, 0.5 * height - y), config.dictionary, number,
                     config.marker_m)
             for number, (x, y, _) in zip(np.ravel(board.getIds()).tolist(), middles, strict=True)
         ]  # fmt: skip
@@ -192,7 +192,7 @@ def _printed(config: CalibrationMarkerConfig) -> float:
     return config.side_m * (1.0 + config.print_scale_error)
 
 
-def _shifted(x: float, y: float) -> Matrix:
+def _translation(x: float, y: float) -> Matrix:
     return transform(np.eye(3), np.array([x, y, 0.0]))
 
 

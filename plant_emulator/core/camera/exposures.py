@@ -36,7 +36,7 @@ class CameraMotion(NamedTuple):
 
     def at(self, view: CameraView, offset_s: float) -> CameraView:
         """The view ``offset_s`` after (or, negative, before) the instant of ``view``."""
-        X_WC, X_WM = (_moved(X, rate * offset_s) for X, rate in zip(view, self.rates, strict=True))
+        X_WC, X_WM = (_pose_after(X, rate * offset_s) for X, rate in zip(view, self.rates, strict=True))
         return CameraView(X_WC, X_WM)
 
 
@@ -65,7 +65,7 @@ def motion_between(before: CameraView, now: CameraView, interval_s: float) -> Ca
     return CameraMotion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))
 
 
-def _moved(X: Matrix, step: Matrix) -> Matrix:
+def _pose_after(X: Matrix, step: Matrix) -> Matrix:
     return transform(X[:3, :3] @ rotation_from_vector(step[3:]), X[:3, 3] + step[:3])
 
 
@@ -143,11 +143,13 @@ class Exposures:
         """The frame that the camera sends at ``capture`` under the plant's ``faults`` in force."""
         dropping = _latest(faults, FramesDropped)
         lost = max(self._config.dropped_frame_share, dropping.share if dropping else 0.0)
-        delivered = not self._drawn(_DROP_STREAM, capture.frame_id, lost)
+        delivered = not self._falls_on(_DROP_STREAM, capture.frame_id, lost)
         capture = capture._replace(drift_px=self._drift.at(capture.capture_ns))
         stamp_ns = self._stamp(capture)
         frozen = _latest(faults, CameraFrozen)
-        if frozen is None and self._drawn(_FREEZE_STREAM, capture.frame_id, self._config.frozen_frame_share):
+        if frozen is None and self._falls_on(
+            _FREEZE_STREAM, capture.frame_id, self._config.frozen_frame_share
+        ):
             frozen = CameraFrozen()
         if frozen is None or self._last is None:
             covers = tuple(fault for fault in faults if isinstance(fault, MarkerCovered))
@@ -170,7 +172,7 @@ class Exposures:
             error_ms += stamps.jitter_ms * min(max(draw, -_WORST_JITTER), _WORST_JITTER)
         return max(capture.capture_ns + round(1e6 * error_ms), 0)
 
-    def _drawn(self, stream: int, frame_id: int, share: float) -> bool:
+    def _falls_on(self, stream: int, frame_id: int, share: float) -> bool:
         """Whether the lot falls on this frame."""
         return share > 0.0 and np.random.default_rng((self._seed, stream, frame_id)).random() < share
 

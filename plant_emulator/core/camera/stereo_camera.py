@@ -160,7 +160,7 @@ class StereoCamera:
         self.config = config
         self.scene = scene
         self._seed = seed
-        texture = _texture(_painted(scene.config.wall))
+        texture = _texture(_without_bodies(scene.config.wall))
         self.eyes = tuple(Eye(true, config, scene, texture) for true in true_eyes(config))
         generator = np.random.default_rng((seed, _NOISE_STREAM))
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
@@ -233,7 +233,7 @@ class StereoCamera:
         return (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
 
 
-def _painted(wall: WallConfig) -> WallConfig:
+def _without_bodies(wall: WallConfig) -> WallConfig:
     """What of a wall its texture shows: light, relief and what stands before it are not in it."""
     plain = {"lighting_gradient_per_m": (0.0, 0.0), "undulation_mm": 0.0, "undulation_length_m": 1.0}
     paint = tuple(hole for hole in wall.drill_holes if hole.depth_m == 0.0)

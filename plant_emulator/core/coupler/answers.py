@@ -90,7 +90,7 @@ class CouplerAnswers:
         if code != 0:
             self.statistics.exceptions += 1
             return code, ()
-        read = self._read(request, now_ns)
+        read = self._read_words(request, now_ns)
         self._watchdog.obeyed(master, wrote, now_ns)
         if wrote:
             self.writer = master
@@ -131,7 +131,7 @@ class CouplerAnswers:
             self._on_valves(image)
         return code
 
-    def _read(self, request: Request, now_ns: int) -> Sequence[int]:
+    def _read_words(self, request: Request, now_ns: int) -> Sequence[int]:
         if request.function == DIAGNOSTICS:
             return self._diagnosed(*request.values)
         if request.reads is None:

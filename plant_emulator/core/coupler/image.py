@@ -53,7 +53,7 @@ _LENGTHS = (16 * OUTPUT_WORDS, 16 * INPUT_WORDS, DIGITAL_OUTPUTS, DIGITAL_INPUTS
 _STATUS_WORD = next(row.address for row in INPUT_TABLE if row.name == "status") - INPUT_ADDRESS
 
 
-def _joined(spans: Sequence[Span]) -> tuple[Span, ...]:
+def _join_spans(spans: Sequence[Span]) -> tuple[Span, ...]:
     whole = [spans[0]]
     for span in spans[1:]:
         last = whole[-1]
@@ -64,7 +64,7 @@ def _joined(spans: Sequence[Span]) -> tuple[Span, ...]:
     return tuple(whole)
 
 
-_CONFIGURATION = _joined([Span(row.address, row.words) for row in COUPLER_TABLE])
+_CONFIGURATION = _join_spans([Span(row.address, row.words) for row in COUPLER_TABLE])
 COUPLER_MAP = RegisterMap(
     reads={
         READ_COILS: (_BITS_OUT,),

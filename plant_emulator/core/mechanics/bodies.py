@@ -56,7 +56,7 @@ def _in_plane(point: tuple[float, float], origin: Array) -> Array:
     return np.asarray(origin + np.array([point[0], 0.0, point[1]]))
 
 
-def _cut(parts: tuple[PartConfig, ...], origin: Array, hinges: list[Hinge]) -> list[Lump]:
+def _lumps_between(parts: tuple[PartConfig, ...], origin: Array, hinges: list[Hinge]) -> list[Lump]:
     """The link's parts as the bodies between its hinges, root first; a bar across a hinge is cut there."""
     places = [hinge.along for hinge in hinges]
     found: list[list[Lump]] = [[] for _ in range(len(places) + 1)]
@@ -126,8 +126,8 @@ def build_bodies(config: PlantConfig, chain: Chain) -> list[Lump]:
     telescope = tuple(_moved_out(part, config.geometry.telescope_m) for part in masses.telescope)
     lift, tilt, wrist = (origin[names.index(name)] for name in ("lift", "tilt", "wrist1"))
     nominal = _foot(config, names)
-    nominal |= _segments("boom", "lift", names, _cut(masses.boom, lift, boom))
-    nominal |= _segments("arm", "tilt", names, _cut(masses.arm + telescope, tilt, arm))
+    nominal |= _segments("boom", "lift", names, _lumps_between(masses.boom, lift, boom))
+    nominal |= _segments("arm", "tilt", names, _lumps_between(masses.arm + telescope, tilt, arm))
     wrists = (("wrist1", masses.wrist1), ("wrist2", masses.wrist2), ("wrist3", masses.tool))
     nominal |= {name: _wrist(body, wrist) for name, body in wrists}
     bodies: list[Lump] = []

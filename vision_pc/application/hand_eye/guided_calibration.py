@@ -134,7 +134,7 @@ class GuidedCalibration:
         if proposal is None:
             raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
         report(0.1, "moving")
-        view = await self._driven(proposal.X_BT, learn=True)
+        view = await self._drive_to(proposal.X_BT, learn=True)
         return HandArrival(view, proposal.X_BT)
 
     async def sample(self, report: Report, name: str | None = None) -> TakenSample:
@@ -164,7 +164,7 @@ class GuidedCalibration:
         """Drives back to a sample's pose and takes it again; the old one stays until the new one is there."""
         old = self.session.sample(name)
         report(0.1, f"moving back to sample {name}")
-        await self._driven(old.X_BT, learn=False)
+        await self._drive_to(old.X_BT, learn=False)
         return await self.sample(report, name)
 
     def remove(self, name: str) -> Session:
@@ -221,7 +221,7 @@ class GuidedCalibration:
         X_BT, places = await self._sight.cabinet(self.defaults)
         return Targets(X_BT, self.X_TC, places)
 
-    async def _driven(self, X_BT: Array, learn: bool) -> ArmView:
+    async def _drive_to(self, X_BT: Array, learn: bool) -> ArmView:
         session = self.session
         try:
             return await self._arm.move_to(X_BT)

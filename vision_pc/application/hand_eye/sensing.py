@@ -92,7 +92,7 @@ class HandEyeSight:
 
         Raises MeasurementFailed (``measurement.hand_eye.not_settled``, and what ``look_at_target`` raises).
         """
-        before = await self._settled(settings)
+        before = await self._settled_view(settings)
         pictures = await self._pictures.pairs_at_rest(settings.frames)
         after = await self._arm.view()
         moved = 1e3 * float(np.abs(after.q_meas - before.q_meas).max())
@@ -126,7 +126,7 @@ class HandEyeSight:
         if self._locator is None:
             self._locator = CabinetLocator(load_drawing(self._config.cabinet))
         locator = self._locator
-        await self._settled(settings)
+        await self._settled_view(settings)
         pictures = await self._pictures.pairs_at_rest(1)
         places = await self._pictures.aside(lambda: self._targets(pictures.pairs[0], locator))
         return pictures.X_BT, places
@@ -141,7 +141,7 @@ class HandEyeSight:
         camera = self.camera if offset is None else with_offset(self.camera, offset.x_px, offset.y_px)
         return locator.locate(pair, camera)
 
-    async def _settled(self, settings: GuidedSettings) -> ArmView:
+    async def _settled_view(self, settings: GuidedSettings) -> ArmView:
         """The view once the controller's flag says settled, or the time for it has passed."""
         view = await self._arm.view()
         began_ns = view.time_ns

@@ -50,7 +50,7 @@ class AimedSensor:
             found = again(self.sighted(frame, seen), known)
         except TargetRefused as refused:
             self.why = refused.cause
-            return self._carried(seen, known) if self.resting else _with(seen, None, None, None)
+            return self._observation_carried(seen, known) if self.resting else _with(seen, None, None, None)
         self.measured += 1
         return _with(seen, found.X_CO, found.covariance, found.bias)
 
@@ -70,7 +70,7 @@ class AimedSensor:
         """Tool and object's markers, whatever is aimed at."""
         return self._pixels.observe(frame, previous)
 
-    def _carried(self, seen: FrameObservation, known: KnownTarget) -> FrameObservation:
+    def _observation_carried(self, seen: FrameObservation, known: KnownTarget) -> FrameObservation:
         noise = _OWN * known.covariance + _NOISE * np.eye(6)
         return _with(seen, known.X_CO, known.covariance + noise, known.covariance)
 

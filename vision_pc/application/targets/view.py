@@ -35,7 +35,7 @@ class ClickBody(BaseModel):
     other_v_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
 
     @model_validator(mode="after")
-    def _whole(self) -> "ClickBody":
+    def _check_complete(self) -> "ClickBody":
         if (self.other_u_px is None) != (self.other_v_px is None):
             raise ValueError("other_u_px and other_v_px are one place: give both, or none")
         return self

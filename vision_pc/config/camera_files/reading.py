@@ -57,7 +57,7 @@ def read_zed(path: Path, text: str, size: tuple[int, int]) -> StereoCalibration:
             for key in ("RX", "CV", "RZ")
         ]
     )
-    shift = np.array([-number(path, "[STEREO] Baseline", _wanted(path, stereo, "STEREO", "baseline")),
+    shift = np.array([-number(path, "[STEREO] Baseline", _required_text(path, stereo, "STEREO", "baseline")),
                       *(_optional(path, stereo, key, mode) for key in ("TY", "TZ"))])  # fmt: skip
     source = f"{path.name} [{mode}], ZED factory file"
     return assembled(path, source, (left, right), rotation(turn), 1e-3 * shift)
@@ -81,7 +81,7 @@ def _section(path: Path, sections: configparser.ConfigParser, name: str, wanted:
     return sections[name]
 
 
-def _wanted(path: Path, section: Any, name: str, key: str) -> str:
+def _required_text(path: Path, section: Any, name: str, key: str) -> str:
     value = section.get(key)
     if value is None:
         raise missing(path, f"[{name}] {key}", "a number")
@@ -112,15 +112,17 @@ def _eye(
     eye = _section(path, sections, name, f"pictures of {size[0]}x{size[1]} px are wanted")
     K: Matrix = np.eye(3)
     for key, place in {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}.items():
-        K[place] = number(path, f"[{name}] {key}", _wanted(path, eye, name, key))
+        K[place] = number(path, f"[{name}] {key}", _required_text(path, eye, name, key))
     apart = f"{side}_DISTO"
     lens = sections[apart] if "k1" not in eye and apart in sections else eye
     where = apart if lens is not eye else name
     if "k4" in lens and "p1" not in lens:
         fisheye = COEFFICIENTS[LensModel.FISHEYE]
-        values = tuple(number(path, f"[{where}] {key}", _wanted(path, lens, where, key)) for key in fisheye)
+        values = tuple(
+            number(path, f"[{where}] {key}", _required_text(path, lens, where, key)) for key in fisheye
+        )
         return Pinhole(K, LensModel.FISHEYE, values, size)
-    _wanted(path, lens, where, "k1")
+    _required_text(path, lens, where, "k1")
     found = [number(path, f"[{where}] {key}", lens.get(key, "0")) for key in _RATIONAL]
     return Pinhole(K, *brown_or_rational(path, f"[{where}] k1 …", found), size)
 

@@ -148,7 +148,7 @@ def read_opencv_stereo(
     Such files hold no picture size: ``size``, or image_width and image_height beside. Raises
     ConfigurationError.
     """
-    found = {ours: _named(path, document, names) for ours, names in _STEREO.items()}
+    found = {ours: _entry_named(path, document, names) for ours, names in _STEREO.items()}
     if "image_width" in document and "image_height" in document:
         size = (int(number(path, "image_width", document["image_width"])),
                 int(number(path, "image_height", document["image_height"])))  # fmt: skip
@@ -168,7 +168,7 @@ def read_opencv_stereo(
     return assembled(path, f"{path.name}, OpenCV", (eyes[0], eyes[1]), R, T)
 
 
-def _named(path: Path, document: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+def _entry_named(path: Path, document: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     for name in names:
         if name in document:
             return document[name]

@@ -164,13 +164,13 @@ def swing_columns(swing: Swing, motion: JointMotion, triangles: Sequence[Triangl
         t = motion.t[one.rows]
         since = t - t[0]
         fades = np.exp(-swing.zeta * swing.omega * since)
-        found[part, 0] = _driven(swing, motion, t)
+        found[part, 0] = _swing_response(swing, motion, t)
         found[part, 1 + 2 * k] = fades * np.cos(damped * since)
         found[part, 2 + 2 * k] = fades * np.sin(damped * since)
     return found
 
 
-def _driven(swing: Swing, motion: JointMotion, t: Array) -> Array:
+def _swing_response(swing: Swing, motion: JointMotion, t: Array) -> Array:
     """The boom's own angle less its root's at ``t``, straight and at rest at the first of them.
 
     The filter is −s²/(s² + 2ζωs + ω²) with s = c (1 − z⁻¹)/(1 + z⁻¹), c two over a step.

@@ -127,7 +127,7 @@ def joint_play(seen: JointSeen) -> PlayFound:
     told = _sight(seen, best.along, seen.seen_t)._replace(swings=best.swings)
     if _fit(told).residual < _fit(best).residual:
         best = _least([_swinging(_sight(seen, along, seen.seen_t)) for along in ways])
-    return _found(best)
+    return _play_of(best)
 
 
 def mean_delay(found: Sequence[PlayFound]) -> tuple[float, float]:
@@ -161,10 +161,10 @@ def _swinging(sight: _Sight) -> _Sight:
     return sight._replace(swings=swings_in(turned, fixed, sight.motion, sight.triangles))
 
 
-def _found(sight: _Sight) -> PlayFound:
+def _play_of(sight: _Sight) -> PlayFound:
     """The spread is that of triangles: what a fit cannot tell of a swing is alike from frame to frame."""
     turned, columns = _columns(sight)
-    whole = _solved(turned, columns)
+    whole = _least_squares(turned, columns)
     sums = np.zeros((2, columns.shape[1]))  # of small changes of the unknowns: half the play, the delay
     sums[0, 1], sums[0, 4] = -whole.half / whole.turn, 1.0 / whole.turn
     sums[1, 1], sums[1, 5] = -whole.delay / whole.turn, -1.0 / whole.turn
@@ -181,10 +181,10 @@ def _found(sight: _Sight) -> PlayFound:
 
 
 def _fit(sight: _Sight) -> _Fit:
-    return _solved(*_columns(sight))
+    return _least_squares(*_columns(sight))
 
 
-def _solved(turned: Array, columns: Array) -> _Fit:
+def _least_squares(turned: Array, columns: Array) -> _Fit:
     units = np.maximum(np.abs(columns).max(axis=0), 1e-12)
     scaled, *_ = np.linalg.lstsq(columns / units, turned, rcond=None)
     found = scaled / units

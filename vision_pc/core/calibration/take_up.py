@@ -110,8 +110,8 @@ async def move_with_take_up(
     """
     *on_the_way, end = waypoints
     limits = settings.take_up
-    take_up = _widened(take_up, (await arm.view()), settings)
-    before = _turned(end, take_up.turns, dimensions)
+    take_up = _with_seen_gaps(take_up, (await arm.view()), settings)
+    before = _pose_before_take_up(end, take_up.turns, dimensions)
     view = await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
     residual, beyond_before = np.zeros(3), math.inf
     for again in reversed(range(limits.repeats + 1)):
@@ -119,18 +119,18 @@ async def move_with_take_up(
         pace = float(np.abs(take_up.turns).max()) / max(limits.slew_rad, 1e-6)
         # no faster for being longer: loose steel would go on to the other side
         view = await arm.move_to(end, duration_s=limits.duration_s * min(max(pace, 1.0), _SLOWEST))
-        take_up = _widened(take_up, view, settings)
-        view, residual = await _waited(arm, view, end, take_up, dimensions, settings)
+        take_up = _with_seen_gaps(take_up, view, settings)
+        view, residual = await _wait_for_servo(arm, view, end, take_up, dimensions, settings)
         beyond = float((np.sign(take_up.turns) * residual).max())
         # one that comes as far each time is left there: further motions expect it
         if beyond <= _TOO_FAR * limits.residual_rad or beyond > _ALIKE * beyond_before or not again:
             break
         beyond_before = beyond
-        view = await arm.move_to(_turned(end, take_up.turns, dimensions))
+        view = await arm.move_to(_pose_before_take_up(end, take_up.turns, dimensions))
     return MotionEnd(view, take_up, residual)
 
 
-async def _waited(
+async def _wait_for_servo(
     arm: Arm,
     view: ArmView,
     end: Array,
@@ -165,21 +165,21 @@ async def _turned_back(
     for _ in range(settings.take_up.repeats):
         back = -joint_turns(end, view.X_BT, dimensions) * np.sign(take_up.turns)
         stuck = back < _WENT * np.abs(take_up.turns)
-        take_up = _widened(take_up, view, settings)
+        take_up = _with_seen_gaps(take_up, view, settings)
         if not stuck.any() or np.abs(take_up.turns).max() >= most:
             break
         wider = np.where(stuck, 2.0, 1.0) * take_up.turns
         take_up = take_up._replace(turns=np.clip(wider, -most, most))
-        view = await arm.move_to(_turned(end, take_up.turns, dimensions))
+        view = await arm.move_to(_pose_before_take_up(end, take_up.turns, dimensions))
     return view, take_up
 
 
-def _turned(end: Array, turns: Array, dimensions: BoomDimensions) -> Array:
+def _pose_before_take_up(end: Array, turns: Array, dimensions: BoomDimensions) -> Array:
     """The pose from which ``turns`` (3,) end at ``end``; the tool's axes are held."""
     return transform(end[:3, :3], end[:3, 3] - boom_levers(end, dimensions) @ turns)
 
 
-def _widened(take_up: TakeUp, view: ArmView, settings: LocalErrorModelSettings) -> TakeUp:
+def _with_seen_gaps(take_up: TakeUp, view: ArmView, settings: LocalErrorModelSettings) -> TakeUp:
     """Turns that cross the band from one side to the other, as far as it was seen."""
     limits = settings.take_up
     gaps = np.maximum(take_up.gaps, np.abs(view.q_cmd - view.q_meas)[_BOOM])

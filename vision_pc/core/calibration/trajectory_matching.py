@@ -144,7 +144,7 @@ def calibrate(pair: TrajectoryPair, settings: TrajectorySettings) -> LocalCalibr
     covariance, condition = rotation_covariance(y, residuals, weights, independent)
     good = weights > 0.5
     scale = _extent(y[good]) / _extent(x[good])
-    R_BC, R_TC = _carried(R_BC0, pair, settings)
+    R_BC, R_TC = _rotations_at_end(R_BC0, pair, settings)
     calibration = LocalCalibration(
         R_BC, R_TC, covariance, residual_table(residuals), condition,
         f"{settings.method}/{settings.association}", len(y), float(good.mean()), _extent(y[good]), scale,
@@ -173,7 +173,9 @@ def _inliers(residuals: Array, match: MixtureMatch) -> Array:
     return np.asarray(np.linalg.norm(residuals, axis=1) < limit, dtype=np.float64)
 
 
-def _carried(R_BC0: Array, pair: TrajectoryPair, settings: TrajectorySettings) -> tuple[Array, Array | None]:
+def _rotations_at_end(
+    R_BC0: Array, pair: TrajectoryPair, settings: TrajectorySettings
+) -> tuple[Array, Array | None]:
     """(R_BC at the path's end, R_TC): the paper takes the first for constant and has no second."""
     if settings.method == MatchedTraces.PAPER:
         return R_BC0, None

@@ -107,7 +107,7 @@ class Localiser:
         self._keep(keyframe.templates)
         before, after = self._halves(keyframe, frame, other_light)
         coarse = tracking.track_halved(before, after, part.pixels, guess[visible], self._settings)
-        pixels, good = self._found(part, frame.pair.left, coarse.points, expected, self._camera.left)
+        pixels, good = self._find_points(part, frame.pair.left, coarse.points, expected, self._camera.left)
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
         if len(pixels) >= self._settings.minimum_inliers:
@@ -171,7 +171,7 @@ class Localiser:
         if most_px is not None and left > most_px:
             return "two_motions"
         views = _Views(pixels[held], rays[:, held], seen[:, held], stds[:, held])
-        return self._settled(keyframe.only(held), views, X_CC0)
+        return self._estimate_from(keyframe.only(held), views, X_CC0)
 
     def _match_stds(
         self, frame: Frame, keyframe: Keyframe, found: tuple[Array, Array], seen_right: Flags, X_CC0: Array
@@ -210,7 +210,7 @@ class Localiser:
     ) -> tuple[Array, Flags]:
         """Where the right eye sees the keyframe's points, px (n, 2), expected at ``guess``; and which."""
         usable = tracking.inside(guess, frame.right_static)
-        right, matched = self._found(
+        right, matched = self._find_points(
             keyframe,
             frame.pair.right,
             np.where(usable[:, None], guess, 0.0),
@@ -220,7 +220,7 @@ class Localiser:
         on_row = np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px
         return right, usable & matched & on_row
 
-    def _settled(self, keyframe: Keyframe, found: "_Views", X_CC0: Array) -> PoseEstimate:
+    def _estimate_from(self, keyframe: Keyframe, found: "_Views", X_CC0: Array) -> PoseEstimate:
         """The pose from the points that held; they learn from it, unless pictures from there have taught."""
         ids, rays, seen = keyframe.ids, found.rays, found.seen
         trust = seen * self._noise_px / np.hypot(self._noise_px, found.match_stds)
@@ -297,7 +297,7 @@ class Localiser:
             errors.append((seen - in_eye[:, :2] / in_eye[:, 2:]) * (eye.K[0, 0], eye.K[1, 1]))
         return np.stack(errors)
 
-    def _found(
+    def _find_points(
         self, keyframe: Keyframe, image: Image, guess: Array, X_C0C: Array, eye: CameraModel
     ) -> tuple[Array, Flags]:
         return patches.found(keyframe, image, guess, X_C0C, self._camera.left, eye, self._settings)

@@ -194,11 +194,11 @@ def _compare(
         word |= np.uint32(image[y0 + _ONE, x0]) << np.uint32(16)
         word |= np.uint32(image[y0 + _ONE, x0 + _ONE]) << np.uint32(24)
         room.words[k] = np.int32(word)
-    return _projected(room.words, room.right, room.down, patterns)
+    return _project_rows(room.words, room.right, room.down, patterns)
 
 
 @allocation_free(fastmath={"contract", "reassoc"})
-def _projected(words: Whole, right: Array, down: Array, patterns: Array) -> tuple[float, float, float]:
+def _project_rows(words: Whole, right: Array, down: Array, patterns: Array) -> tuple[float, float, float]:
     """The second half of ``_compare``: everything is in a row here, which compilers vectorise."""
     patch, gx, gy = patterns[0], patterns[1], patterns[2]
     byte, count = np.int32(255), words.shape[0]

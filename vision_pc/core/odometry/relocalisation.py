@@ -25,7 +25,7 @@ def relocalised(
 
     ``static`` (height, width): False where the picture shows what moves with the camera.
     """
-    there, here = _described(image, static), _described(keyframe.left, static)
+    there, here = _describe_corners(image, static), _describe_corners(keyframe.left, static)
     if there is None or here is None:
         return None
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(here[1], there[1])
@@ -55,7 +55,7 @@ def relocalised(
     return se3.inverse(se3.transform(se3.exp_so3(rotation.ravel()), position.ravel()))
 
 
-def _described(image: Image, static: Flags) -> tuple[Array, Image] | None:
+def _describe_corners(image: Image, static: Flags) -> tuple[Array, Image] | None:
     """Pixels (n, 2) and descriptors (n, 32) of an image's corners; None when it has none."""
     corners, descriptors = cv2.ORB.create(_DESCRIPTORS).detectAndCompute(image, static.astype(np.uint8) * 255)
     if descriptors is None or len(corners) < _FEWEST:

@@ -44,7 +44,7 @@ class WayError:
     def after(self, pose: OdometryPose, made: int | None) -> Array:
         """The covariance (6×6) of ``pose`` in its C0; ``made``: the number of the keyframe that it became."""
         place = pose.X_C0C[:3, 3]
-        held = self._held(pose.held_by or {0: np.eye(6)}, place)
+        held = self._root_held(pose.held_by or {0: np.eye(6)}, place)
         total = pose.covariance + held @ held.T
         if made is not None:
             self._keyframes[made] = _Keyframe(place, held + _root(pose.covariance))
@@ -54,7 +54,7 @@ class WayError:
         bent[3:, 3:] += _ASTRAY**2 * (by_offset[3:] @ by_offset[3:]) * np.eye(3)
         return np.asarray(total + self._std_px**2 * bent)
 
-    def _held(self, held_by: Mapping[int, Array], place: Array) -> Array:
+    def _root_held(self, held_by: Mapping[int, Array], place: Array) -> Array:
         """The root (6×6) of the covariance, at ``place``, of what keyframes got wrong and hand on: each what
         of it its points hold.
         """
@@ -186,14 +186,14 @@ class SegmentedOdometry:
             patience = _PATIENCE if self._maps[self._current].undecided else self._recorded.restart_after
             if self._lost < patience or not self._maps[self._current].keyframes:
                 return None
-            return self._returned(pair) or self._begun(pair)
+            return self._returned(pair) or self._begin_map(pair)
         self._lost = 0
         if not self._straight and pose.pairs is not None:
-            return self._straightened(pair, pose.pairs)
+            return self._restart_straightened(pair, pose.pairs)
         placed = PlacedPose(self._current, pose)
         return self._rejoined(pair, pose) or placed
 
-    def _straightened(self, pair: StereoPair, seen: PointPairs) -> PlacedPose | None:
+    def _restart_straightened(self, pair: StereoPair, seen: PointPairs) -> PlacedPose | None:
         """The first pose, found anew with the right eye's rows as the first map's points show them."""
         self._camera, self._straight = straightened(self._camera, seen), True
         self._begin_anew()
@@ -227,7 +227,7 @@ class SegmentedOdometry:
                 return PlacedPose(k, pose)
         return None
 
-    def _begun(self, pair: StereoPair) -> PlacedPose | None:
+    def _begin_map(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
         doubted = any(one.mixed for one in self._maps)
         fresh = StereoOdometry(

@@ -137,9 +137,9 @@ class StereoOdometry:
         self._located += 1
         self._lost_frames = 0
         self.last_loss = self.last_detail = None
-        return self._told(pair, outcome)
+        return self._pose_of(pair, outcome)
 
-    def _told(self, pair: StereoPair, found: PoseEstimate) -> OdometryPose:
+    def _pose_of(self, pair: StereoPair, found: PoseEstimate) -> OdometryPose:
         """What is told of ``pair``, located as ``found``."""
         cells = tracking.grid_cells(found.pixels, pair.left.shape, self._settings)
         return OdometryPose(

@@ -235,7 +235,7 @@ def _corner_equations(
     for eye, measured in enumerate((corners.left, corners.right)):
         residual, J = _linearised(points, measured, eye, shared[:_CAMERA], camera)
         if eye == 1:
-            walked = _walked(corners.ahead)
+            walked = _columns_of_walk(corners.ahead)
             residual, J = residual - walked @ shared[_CAMERA:_EYES], np.concatenate([J, walked], axis=2)
         whole = np.einsum("nri,nij->nrj", J[:, :, :3], moves)
         whole[:, :, _POSE : _POSE + J.shape[2] - 3] += J[:, :, 3:]
@@ -287,7 +287,7 @@ def _linearised(
     return measured - here, np.stack(columns, axis=2)
 
 
-def _walked(ahead: Array) -> Array:
+def _columns_of_walk(ahead: Array) -> Array:
     """How the walk's stages (x and then y) move points in the right eye (n, 2, 2 stages)."""
     still = np.zeros((len(ahead), 2, 2 * _STAGES))
     still[:, 0, :_STAGES] = still[:, 1, _STAGES:] = ahead
@@ -302,7 +302,7 @@ def _row_equations(
     """
     if len(rows.left) == 0:
         return np.zeros((_EYES, _EYES)), np.zeros(_EYES)
-    errors, walked = shared[:_CAMERA], _walked(rows.ahead)[:, 1]
+    errors, walked = shared[:_CAMERA], _columns_of_walk(rows.ahead)[:, 1]
     bare = _row_errors(rows, errors, camera)
     columns = [
         (_row_errors(rows, errors + step * np.eye(_CAMERA)[k], camera) - bare) / step

@@ -108,14 +108,14 @@ def priors_after(previous: FrameObservation | None, settings: MarkerSettings, ca
     """What is taken for granted about a frame at ``capture_ns``, the offset as it was last estimated."""
     offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
     if previous is not None and previous.offset is not None:
-        offset = _drifted(previous.offset, 1e-9 * (capture_ns - previous.capture_ns), settings)
+        offset = _offset_after(previous.offset, 1e-9 * (capture_ns - previous.capture_ns), settings)
     corner, size, radial = settings.corner_std_px, settings.print_size_std, settings.radial_std
     if previous is None or previous.errors is None:
         return Priors(corner, size, offset, radial)
     return Priors(corner, size, offset, math.sqrt(previous.errors.covariance[6, 6]), known=True)
 
 
-def _drifted(offset: StereoOffset, passed_s: float, settings: MarkerSettings) -> StereoOffset:
+def _offset_after(offset: StereoOffset, passed_s: float, settings: MarkerSettings) -> StereoOffset:
     """``offset`` after a random walk: as certain as before, or less, but never less than at first."""
     if settings.offset_drift_px == 0.0:
         return offset
@@ -250,11 +250,15 @@ def combine(
     tool = [(o.X_CM, o.cov_CM, o.bias_CM) for o in observations]
     target = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
     tool_mean, tool_seen = robust_mean(
-        tool, _wanted(settings, tool_missing), "tool", settings.huber_sigmas, usual_reason(tool_missing)
+        tool,
+        _frames_required(settings, tool_missing),
+        "tool",
+        settings.huber_sigmas,
+        usual_reason(tool_missing),
     )
     target_mean, target_seen = robust_mean(
         target,
-        _wanted(settings, target_missing),
+        _frames_required(settings, target_missing),
         "object",
         settings.huber_sigmas,
         usual_reason(target_missing),
@@ -284,7 +288,7 @@ def _refuse_wild(offset: StereoOffset | None, settings: LookSettings) -> None:
         )
 
 
-def _wanted(settings: LookSettings, missing: Sequence[str | None]) -> int:
+def _frames_required(settings: LookSettings, missing: Sequence[str | None]) -> int:
     """How many frames must show what was ``missing`` in others: more than those that tell a wrong size, which
     the left eye alone, where the right one failed, cannot tell.
     """

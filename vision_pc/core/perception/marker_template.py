@@ -50,7 +50,7 @@ def fit(image: Image, corners: Array, cells: Array, known: bool = True) -> Templ
         return None
     started = np.ascontiguousarray(corners, dtype=np.float64)
     guessed = np.ascontiguousarray(cells, dtype=np.float64)
-    found, variance, likeness, blur, shown = _fitted(image, started, guessed, known)
+    found, variance, likeness, blur, shown = _fit_template(image, started, guessed, known)
     if not (likeness >= _LIKE and np.isfinite(found).all() and np.isfinite(variance)):
         return None
     std = math.sqrt(max(variance, 0.0) + _FLOOR_PX**2 + _leak_px(math.sqrt(blur), len(cells), found) ** 2)
@@ -64,7 +64,7 @@ def _leak_px(blur_px: float, count: int, corners: Array) -> float:
     return _LEAK * blur_px * max(spill - _LEAK_FROM, 0.0) ** 2
 
 
-def _fitted(
+def _fit_template(
     image: Image, corners: Array, cells: Array, known: bool
 ) -> tuple[Array, float, float, float, Array]:
     """Corners, their mean variance, the likeness, the blur's variance, and the cells."""
@@ -125,7 +125,7 @@ def _linearised(
     seen = 0.5 + max(_QUIET / count - _SPILL * math.sqrt(blur) / shortest, 0.2 * _QUIET / count)
     sums = np.zeros(6)  # number, data, model, data², model², data model
     window = image[y0:y1, x0:x1]
-    views = np.concatenate([to_pixels[None], back[None], _moved(quad)])
+    views = np.concatenate([to_pixels[None], back[None], _perturbed_homographies(quad)])
     _summed(window, blurred, views, (x0, y0), light, seen, (normal, right, wanted, weights, sums))
     if sums[0] < 2.0 * _PARAMETERS:
         return math.inf, normal, right, 0.0, wanted
@@ -225,7 +225,7 @@ def _cell(place: float, count: int) -> int:
     return min(max(int((place + 0.5) * count), 0), count - 1)
 
 
-def _moved(quad: Array) -> Array:
+def _perturbed_homographies(quad: Array) -> Array:
     """Homographies (8, 3, 3) with one coordinate of one corner moved on by ``_STEP_PX``."""
     made = np.empty((8, 3, 3))
     for k in range(8):

@@ -67,9 +67,9 @@ def detect(
     if x1 - x0 < 16 or y1 - y0 < 16:
         return {}, Counter()
     part, begin = image[y0:y1, x0:x1], np.array([x0, y0])
-    corners, refused, repeated = _read(part, settings)
+    corners, refused, repeated = _read_markers(part, settings)
     if not (settings.sizes.keys() if wanted is None else wanted) <= corners.keys():
-        more, also_refused, also_repeated = _read(_even_light(part), settings)
+        more, also_refused, also_repeated = _read_markers(_even_light(part), settings)
         corners, refused, repeated = more | corners, refused | also_refused, repeated | also_repeated
     return {number: quad + begin for number, quad in corners.items() if number not in repeated}, refused
 
@@ -79,7 +79,7 @@ def _even_light(image: Image) -> Image:
     return np.asarray(cv2.LUT(image, _LOGARITHMS), dtype=np.uint8)
 
 
-def _read(image: Image, settings: MarkerSettings) -> tuple[dict[int, Array], Counter[str], set[int]]:
+def _read_markers(image: Image, settings: MarkerSettings) -> tuple[dict[int, Array], Counter[str], set[int]]:
     """Known markers that ``image`` shows once, counts of refusals, and the numbers shown more often."""
     found, ids, _ = _detector(settings.dictionary, settings.threshold_window_px).detectMarkers(image)
     numbers = [] if ids is None else [int(number) for number in ids.ravel()]

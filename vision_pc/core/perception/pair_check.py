@@ -91,13 +91,13 @@ def matched(pair: StereoPair) -> PointPairs:
     left, right = left[near], right[near]
     if not len(left):
         return PointPairs(none, none)
-    fine, ok = _followed(pair.left, pair.right, left, right)
-    back, back_ok = _followed(pair.right, pair.left, fine, left)
+    fine, ok = _follow_points(pair.left, pair.right, left, right)
+    back, back_ok = _follow_points(pair.right, pair.left, fine, left)
     good = ok & back_ok & (np.abs(back - left).max(axis=1) < _BACK_PX)
     return PointPairs(left[good].astype(np.float64), np.asarray(fine, dtype=np.float64)[good])
 
 
-def _followed(
+def _follow_points(
     before: Image, after: Image, points: NDArray[np.float32], guess: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Where ``points`` (n, 2) of ``before`` are in ``after``, near ``guess`` (n, 2), and which were found."""

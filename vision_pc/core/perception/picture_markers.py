@@ -71,7 +71,7 @@ def found_markers(
                 markers.append(refined(image, int(number), place, _cells(book, int(number))))
         unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
     if not wanted or not wanted <= {marker.number for marker in markers}:
-        markers += _read(image, unread, markers, book, wanted)
+        markers += _read_quads(image, unread, markers, book, wanted)
     kept = [
         marker
         for marker in markers
@@ -80,7 +80,7 @@ def found_markers(
     return sorted(kept, key=lambda marker: (marker.number, *marker.corners[0]))
 
 
-def _read(
+def _read_quads(
     image: Image,
     quads: list[Array],
     markers: list[PictureMarker],

@@ -42,13 +42,13 @@ class RawLens(NamedTuple):
             found = cv2.fisheye.undistortPoints(wanted[:, None], self.K, self.distortion)
             rays = np.asarray(found, dtype=np.float64).reshape(-1, 2)
         for _ in range(_NEWTON_STEPS):
-            slopes = [(self._seen(rays + step) - self._seen(rays - step)) / (2.0 * _STEP)
+            slopes = [(self._pixels_of(rays + step) - self._pixels_of(rays - step)) / (2.0 * _STEP)
                       for step in _STEP * np.eye(2)]  # fmt: skip
-            error = wanted - self._seen(rays)
+            error = wanted - self._pixels_of(rays)
             rays = rays + np.linalg.solve(np.stack(slopes, axis=-1), error[..., None])[..., 0]
         return np.asarray(rays, dtype=np.float64)
 
-    def _seen(self, rays: Array) -> Array:
+    def _pixels_of(self, rays: Array) -> Array:
         return self.project(np.column_stack([rays, np.ones(len(rays))]))
 
     def project(self, points: Array) -> Array:

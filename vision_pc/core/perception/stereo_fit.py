@@ -281,14 +281,16 @@ def _covariance(views: Sequence[PairView], raw: _Raw) -> Array:
     turn = _doubles(cv2.Rodrigues(raw.R)[0]).ravel()
     information, squares, seen = np.zeros((size, size)), 0.0, 0
     for view, board_turn, board_shift in zip(views, raw.turns, raw.shifts, strict=True):
-        left, by_pose, by_left = _projected(view, board_turn, board_shift, raw.K[0], raw.D[0])
+        left, by_pose, by_left = _project_with_derivatives(view, board_turn, board_shift, raw.K[0], raw.D[0])
         joined = cv2.composeRT(board_turn, board_shift, turn, raw.T)
         right_turn, right_shift = (_doubles(joined[k]).ravel() for k in (0, 1))
         # derivatives of the right eye's board pose by the left one's, and by the stereo pose
         by = np.block(
             [[joined[2], joined[3], joined[4], joined[5]], [joined[6], joined[7], joined[8], joined[9]]]
         )
-        right, by_right_pose, by_right = _projected(view, right_turn, right_shift, raw.K[1], raw.D[1])
+        right, by_right_pose, by_right = _project_with_derivatives(
+            view, right_turn, right_shift, raw.K[1], raw.D[1]
+        )
         poses = np.concatenate([by_pose, by_right_pose @ by[:, :6]])
         rest = np.zeros((len(poses), size))
         rest[: len(left), :count] = by_left
@@ -311,7 +313,9 @@ def _covariance(views: Sequence[PairView], raw: _Raw) -> Array:
     return np.asarray(0.5 * (result + result.T))
 
 
-def _projected(view: PairView, turn: Array, shift: Array, K: Array, D: Array) -> tuple[Array, Array, Array]:
+def _project_with_derivatives(
+    view: PairView, turn: Array, shift: Array, K: Array, D: Array
+) -> tuple[Array, Array, Array]:
     """Pixels (2 k,), their derivatives by the board's pose (2 k, 6), and by fx fy cx cy and distortion."""
     pixels, slopes = cv2.projectPoints(view.points_m, turn, shift, K, D)
     by = _doubles(slopes)

@@ -190,9 +190,9 @@ def _body_equations(
             scale = problem.weights[eye, i] / problem.corner_std_px
             if scale == 0.0:
                 continue
-            turned = _turned(X, (problem.points[i, 0], problem.points[i, 1], problem.points[i, 2]))
+            turned = _rotate(X, (problem.points[i, 0], problem.points[i, 1], problem.points[i, 2]))
             a, b, c = turned[0] * (1.0 + size), turned[1] * (1.0 + size), turned[2] * (1.0 + size)
-            x, y, z = _turned(R, (a + X[0, 3], b + X[1, 3], c + X[2, 3]))
+            x, y, z = _rotate(R, (a + X[0, 3], b + X[1, 3], c + X[2, 3]))
             in_eye = x + problem.eyes[eye, 9], y + problem.eyes[eye, 10], z + problem.eyes[eye, 11]
             chi2 = 0.0
             for axis in range(2):
@@ -237,7 +237,7 @@ def _fill_row(row: Array, gradient: Triple, turned: Triple, lever: Triple, scale
 
 
 @kernel(nogil=True)
-def _turned(R: Array, v: Triple) -> Triple:
+def _rotate(R: Array, v: Triple) -> Triple:
     """R v. No BLAS: it takes ten times as long for three numbers, and adds them in its own order."""
     x, y, z = v
     return (

@@ -76,7 +76,7 @@ class Watcher(Generic[F]):
         capture.
         """
         observation = self._observed(frame)
-        tracked = self._tracked(frame, observation, X_BT) if self._wants_odometry else None
+        tracked = self._track(frame, observation, X_BT) if self._wants_odometry else None
         seen = observation if self._markers else None
         sample = WatchSample(
             frame.capture_ns,
@@ -105,7 +105,7 @@ class Watcher(Generic[F]):
         self._observation = observation
         return observation
 
-    def _tracked(self, frame: F, observation: FrameObservation | None, X_BT: Array) -> OdometryPose | None:
+    def _track(self, frame: F, observation: FrameObservation | None, X_BT: Array) -> OdometryPose | None:
         if self._odometry is None:
             self._odometry = self._sensor.odometry(self._observation)
         tracked = self._odometry.process(frame, None if observation is None else observation.X_CM, X_BT)

@@ -79,7 +79,7 @@ class ServoingLaw:
         if self._target is None:
             self._target = measured
         elif np.linalg.norm(left) > s.near_m:
-            self._target = self._target + _bounded(s.gain * (measured - self._target), s.step_m)
+            self._target = self._target + _shorten(s.gain * (measured - self._target), s.step_m)
         self.newest = c_delta
         self._errors.append(c_delta)
         self._left.append(left)
@@ -87,8 +87,8 @@ class ServoingLaw:
         self._gap_m = servo_gap_m
         if self._still and not self.settled:
             left, there = np.mean(self._left, axis=0), np.mean(self._measured, axis=0)
-            pulled = self._target + _bounded(s.pull_gain * left, s.step_m)
-            self._target = there + _bounded(pulled - there, s.pull_m)
+            pulled = self._target + _shorten(s.pull_gain * left, s.step_m)
+            self._target = there + _shorten(pulled - there, s.pull_m)
             self._pulls += 1
             self.nearest_m = min(self.nearest_m, float(np.abs(self.errors.mean(axis=0))[:2].max()))
             for kept in (self._errors, self._left, self._measured):
@@ -98,7 +98,7 @@ class ServoingLaw:
         """X_BT_ref: the target, no farther than ``lead_m`` from the pose that is commanded at present."""
         assert self._target is not None
         ahead = self._target - X_BT_cmd[:3, 3]
-        return transform(self._hold, X_BT_cmd[:3, 3] + _bounded(ahead, self._settings.lead_m))
+        return transform(self._hold, X_BT_cmd[:3, 3] + _shorten(ahead, self._settings.lead_m))
 
     @property
     def rests(self) -> int:
@@ -282,7 +282,7 @@ class _Detections:
             )
 
 
-def _bounded(step: Array, limit: float) -> Array:
+def _shorten(step: Array, limit: float) -> Array:
     """``step`` (3,), shortened to ``limit``."""
     length = math.sqrt(float(step @ step))
     return step if length <= limit else step * (limit / length)

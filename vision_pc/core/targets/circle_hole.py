@@ -103,13 +103,13 @@ def measure(
         raise TargetRefused("target.wrong_size", "target: no hole of such a diameter looks like that here")
     found = row_matching.match(pair, camera, spot.middle, (nearest, farthest), compared_px(spot))
     try:
-        hole = _measured(pair, camera, spot, found.inverse_depth)
+        hole = _measure_hole(pair, camera, spot, found.inverse_depth)
     except TargetRefused as refused:
         # What is seen inside may be as bright as the rim, and the dark be a part of the hole.
         wide = DarkSpot(spot.middle, 0.25 * sum(diameters_m) * focal * found.inverse_depth)
         if refused.cause != "target.not_round" or wide.radius < _PART * spot.radius:
             raise
-        hole = _measured(pair, camera, wide, found.inverse_depth)
+        hole = _measure_hole(pair, camera, wide, found.inverse_depth)
     if not diameters_m[0] <= hole.diameter_m <= diameters_m[1]:
         low, high = (1e3 * size for size in diameters_m)
         raise TargetRefused(
@@ -119,7 +119,7 @@ def measure(
     return hole
 
 
-def _measured(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, inverse_depth: float) -> Hole:
+def _measure_hole(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, inverse_depth: float) -> Hole:
     """The hole at ``spot``, of whatever diameter. Raises TargetRefused as ``measure``."""
     plane = _surface(pair, camera, spot, inverse_depth)
     edges = edge(pair.left, spot)

@@ -244,7 +244,7 @@ def _summed(
             weights[i, j] = 0.0
             if patch.used[i, j] == 0.0:
                 continue
-            seen = _seen(patch, right, ray, theta, i, j, J[i, j])
+            seen = _right_grey(patch, right, ray, theta, i, j, J[i, j])
             if math.isnan(seen):
                 inside = False
                 continue
@@ -264,7 +264,7 @@ def _summed(
 
 
 @kernel(nogil=True)
-def _seen(patch: _Patch, right: _Right, ray: Array, theta: Array, i: int, j: int, J: Array) -> float:
+def _right_grey(patch: _Patch, right: _Right, ray: Array, theta: Array, i: int, j: int, J: Array) -> float:
     """What the right eye shows of pixel (i, j) of the patch, gain and offset applied, and its derivative.
 
     NaN outside of the right picture.

@@ -140,10 +140,10 @@ def circle(eye: CameraModel, edges: Array, plane: PlanePatch) -> Circle:
     origin, axes = axes_of(plane)
     points = (foot + along[:, None] * directions - origin) @ axes[:, :2]
     px_m = float(np.median(along)) / float(eye.K[0, 0])
-    return _fitted(points, px_m)
+    return _fit_circle(points, px_m)
 
 
-def _fitted(points: Array, px_m: float) -> Circle:
+def _fit_circle(points: Array, px_m: float) -> Circle:
     middle, radius = _most_agreed(points, px_m)
     within = _within(radius, px_m)
     for turn in range(8):

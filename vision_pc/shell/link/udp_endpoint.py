@@ -41,9 +41,9 @@ class MachineWatch:
         self._counts_anew = False
         self._answers_ns = 0
         self._last: StereoPair | None = None
-        link.listeners.append(self._heard)
+        link.listeners.append(self._on_heard)
 
-    def _heard(self, event: Submitted | Streamed | ClientEvent) -> None:
+    def _on_heard(self, event: Submitted | Streamed | ClientEvent) -> None:
         if isinstance(event, SessionLost):
             self._silent, self._answers_ns = True, 0
         elif isinstance(event, StateReceived):
@@ -87,7 +87,7 @@ class LinkJournal:
         if isinstance(event, Submitted):
             self._open[event.command_id] = event.request
         elif isinstance(event, AcknowledgementReceived):
-            self._answered(event)
+            self._on_answer(event)
         elif isinstance(event, StreamRefusedReceived):
             self._stream_refused(event)
         elif isinstance(event, Connected):
@@ -97,9 +97,9 @@ class LinkJournal:
             lost = {"reason": event.reason.name.lower(), "unanswered": len(event.unanswered)}
             self._log.write("link_lost", "warning", **lost)
         elif isinstance(event, DatagramDropped):
-            self._dropped(event)
+            self._on_drop(event)
 
-    def _answered(self, event: AcknowledgementReceived) -> None:
+    def _on_answer(self, event: AcknowledgementReceived) -> None:
         answer = event.acknowledgement
         request = self._open.pop(answer.command_id, None)
         self._log.write(
@@ -123,7 +123,7 @@ class LinkJournal:
                 value=refusal.value,
             )
 
-    def _dropped(self, event: DatagramDropped) -> None:
+    def _on_drop(self, event: DatagramDropped) -> None:
         if self._clock.now_ns - self._drop_logged_ns > _LOG_DROPS_NS:
             self._drop_logged_ns = self._clock.now_ns
             self._log.write("datagram_dropped", "warning", cause=event.cause, detail=event.detail)

@@ -91,7 +91,7 @@ def read_bytes(read: Read) -> bytes:
     if read.health is not None:
         said |= {name: getattr(read.health, name) for name in (*_COUNTS, "last_loss")}
         said |= {} if read.health.offset is None else dict(zip(_OFFSET, read.health.offset, strict=True))
-    return bytes(ReadMessage(**_there(said)).SerializeToString())
+    return bytes(ReadMessage(**_present_fields(said)).SerializeToString())
 
 
 def sample_bytes(made: NumberedSample) -> bytes:
@@ -101,7 +101,7 @@ def sample_bytes(made: NumberedSample) -> bytes:
     said = {name: None if X is None else np.ravel(X).tolist() for name, X in places.items()}
     numbers = {"watch": made.watch, "number": made.number, "time_ns": sample.time_ns}
     known = {"observed": seen is not None, "errors_found": seen is not None and seen.errors is not None}
-    return bytes(SampleMessage(**_there(numbers | said | known)).SerializeToString())
+    return bytes(SampleMessage(**_present_fields(numbers | said | known)).SerializeToString())
 
 
 def view_of_message(message: Any) -> ArmView:
@@ -182,5 +182,5 @@ def _offset(message: Any) -> StereoOffset | None:
     return StereoOffset(*(getattr(message, name) for name in _OFFSET))
 
 
-def _there(said: dict[str, Any]) -> dict[str, Any]:
+def _present_fields(said: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in said.items() if value is not None}

@@ -188,8 +188,8 @@ def observation_bytes(made: NumberedObservation) -> bytes:
         previous=made.previous,
         corrected=made.corrected,
         digest=digest(seen),
-        **_placed("CM", seen.X_CM),
-        **_placed("CO", seen.X_CO),
+        **_position_fields("CM", seen.X_CM),
+        **_position_fields("CO", seen.X_CO),
         **{name: getattr(seen, name) for name in ("X_CM", "X_CO", "cov_CM", "cov_CO")},
         marker_ids=[marker.marker_id for marker in markers],
         corners_left_px=_flat([marker.corners_left for marker in markers]),
@@ -220,7 +220,7 @@ def tracked_bytes(made: TrackedFrame) -> bytes:
         OdometryMessage,
         **stamp,
         digest=digest(pose),
-        **_placed("C0C", pose.X_C0C),
+        **_position_fields("C0C", pose.X_C0C),
         X_C0C=pose.X_C0C,
         **{name: getattr(pose, name) for name in measured},
     )
@@ -240,8 +240,8 @@ def look_bytes(made: CombinedLook) -> bytes:
         LookMessage,
         observations=made.observations,
         digest=digest(look),
-        **_placed("CM", look.X_CM),
-        **_placed("CO", look.X_CO),
+        **_position_fields("CM", look.X_CM),
+        **_position_fields("CO", look.X_CO),
         **({} if look.offset is None else dict(zip(_OFFSET, look.offset, strict=True))),
         **fields,
     )
@@ -281,7 +281,7 @@ def _poses(poses: Sequence[Pose]) -> dict[str, list[float]]:
     return {"p_m": _flat([pose.p_m for pose in poses]), "q_wxyz": _flat([pose.q_wxyz for pose in poses])}
 
 
-def _placed(name: str, X: Array | None) -> dict[str, float]:
+def _position_fields(name: str, X: Array | None) -> dict[str, float]:
     """The position of ``X`` in fields of its own, for plots."""
     return {} if X is None else {f"p_{name}_{axis}_m": float(X[i, 3]) for i, axis in enumerate(_AXES)}
 

@@ -112,7 +112,7 @@ class VisionRecorder:
         self._numbers = {topic.name: number for number, topic in enumerate(every)}
         self._frames_put = self._frames_taken = 0
         entries = {"run": {"configuration": json.dumps(run)}, "session": dict(session)}
-        self.sink = made(path, [self._counted(topic) for topic in every], entries)
+        self.sink = made(path, [self._counted_topic(topic) for topic in every], entries)
         self.missed = self.looks = 0
         self.failed: Callable[[str], object] = str
         self._told = False
@@ -134,7 +134,7 @@ class VisionRecorder:
     def observed(self, pair: StereoPair, previous: FrameObservation | None, found: FrameObservation) -> None:
         """Record what a frame shows; what was known before it is told by number."""
         self._keep_frame(pair)
-        number, corrected = self._known(previous)
+        number, corrected = self._number_of(previous)
         self._observed += 1
         self._observations.append((self._observed, found))
         made = own.NumberedObservation(self._observed, number, corrected, found)
@@ -144,7 +144,7 @@ class VisionRecorder:
     def odometry_begun(self, previous: FrameObservation | None) -> int:
         """Record that odometry begins. Return its number."""
         self._odometries += 1
-        number, corrected = self._known(previous)
+        number, corrected = self._number_of(previous)
         capture_ns = 0 if previous is None else previous.capture_ns
         self._put(
             ODOMETRY_START, own.OdometryStart(self._odometries, number, corrected, capture_ns), capture_ns
@@ -168,7 +168,7 @@ class VisionRecorder:
 
     def looked(self, look: Look, observations: Sequence[FrameObservation]) -> None:
         """Record a look."""
-        numbers = tuple(self._known(each)[0] for each in observations)
+        numbers = tuple(self._number_of(each)[0] for each in observations)
         made = own.CombinedLook(look, tuple(-1 if number is None else number for number in numbers))
         self.looks += 1
         self._put(LOOK, made, look.time_ns, wanted=True)
@@ -186,9 +186,9 @@ class VisionRecorder:
     def listen_to(self, link: ReferenceLink) -> None:
         """Record the references that go out over ``link``, and how the clocks stand."""
         self._link = link
-        link.listeners.append(self._heard)
+        link.listeners.append(self._on_event)
 
-    def _heard(self, event: Submitted | Streamed | ClientEvent) -> None:
+    def _on_event(self, event: Submitted | Streamed | ClientEvent) -> None:
         match event:
             case Submitted():
                 self._reference(event.command_id, event.request)
@@ -225,7 +225,7 @@ class VisionRecorder:
         self._clock_ns = now_ns
         self._put(CLOCK, (estimate.offset_ns, estimate.uncertainty_ns), now_ns, wanted=True)
 
-    def _known(self, observation: FrameObservation | None) -> tuple[int | None, bool]:
+    def _number_of(self, observation: FrameObservation | None) -> tuple[int | None, bool]:
         """The number of an observation, and whether camera errors were put into it since."""
         if observation is None:
             return None, False
@@ -265,7 +265,7 @@ class VisionRecorder:
         self._picture_ns = capture_ns
         return True
 
-    def _counted(self, topic: Topic) -> Topic:
+    def _counted_topic(self, topic: Topic) -> Topic:
         """A topic of frames that counts down when one no longer waits."""
         if topic.name != FRAME:
             return topic

@@ -128,7 +128,7 @@ class Operations:
         async def work(report: Report) -> JSON:
             return program.to_json(await program.run(application, settings, report))
 
-        return self._started(Operation(program.name, request), work, key)
+        return self._start(Operation(program.name, request), work, key)
 
     def refuse_busy(self) -> None:
         """Raises RequestRefused (``refused.busy``) while an operation runs."""
@@ -149,7 +149,7 @@ class Operations:
             raise RequestRefused("refused.key_reused", why)
         return earlier
 
-    def _started(self, operation: Operation, work: Work, key: str | None) -> Operation:
+    def _start(self, operation: Operation, work: Work, key: str | None) -> Operation:
         self.current = self._all[operation.id] = operation
         if key:
             self._keys[key] = operation.id

@@ -51,7 +51,7 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
             candidates = [candidate_json(candidate) for candidate in refused.candidates]
             told = {"instance": request.url.path, "candidates": candidates}
             return respond(problem_of(refused) | told | {"advice": advice(refused.cause)})
-        document = _shown(application, kept)
+        document = _target_view(application, kept)
         application.log.write("target_made", **document)
         return JSONResponse(document, HTTPStatus.CREATED, {"Location": f"/targets/{kept.id}"})
 
@@ -62,7 +62,7 @@ def _add_all(app: FastAPI, application: VisionApplication) -> None:
     @app.get("/targets", tags=["targets"], summary="All targets, and the holes of the newest picture")
     async def every(detect: bool = False, diameter_mm: _Diameter = None) -> JSON:
         """``detect``: also look for holes, which are no targets before they are clicked."""
-        document: JSON = {"targets": [_shown(application, kept) for kept in camera.targets.list()]}
+        document: JSON = {"targets": [_target_view(application, kept) for kept in camera.targets.list()]}
         if detect:
             frame_id, found = await camera.detected_holes(diameter_mm)
             document |= {"frame_id": frame_id, "holes": [hole_json(hole) for hole in found]}
@@ -75,14 +75,14 @@ def _add_one(app: FastAPI, application: VisionApplication, operations: Operation
     @app.get("/targets/{target_id}", tags=["targets"], summary="One target")
     async def one(target_id: str) -> JSON:
         """404 when it is not known."""
-        return _shown(application, camera.targets.get(target_id))
+        return _target_view(application, camera.targets.get(target_id))
 
     @app.post("/targets/{target_id}/aim", tags=["targets"], summary="Have programs look at it")
     async def aim(target_id: str) -> JSON:
         """409 while an operation runs."""
         operations.refuse_busy()
         camera.targets.aim(target_id)
-        return _shown(application, camera.targets.get(target_id))
+        return _target_view(application, camera.targets.get(target_id))
 
     @app.delete("/targets/{target_id}", tags=["targets"], summary="Forget it",
                 status_code=HTTPStatus.NO_CONTENT)  # fmt: skip
@@ -92,7 +92,7 @@ def _add_one(app: FastAPI, application: VisionApplication, operations: Operation
         camera.targets.remove(target_id)
 
 
-def _shown(application: VisionApplication, kept: KeptTarget) -> JSON:
+def _target_view(application: VisionApplication, kept: KeptTarget) -> JSON:
     seen = application.camera.seen()
     X_CM = None if seen is None else seen.observation.X_CM
     p_CM = None if X_CM is None else X_CM[:3, 3]

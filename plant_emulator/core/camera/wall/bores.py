@@ -118,11 +118,11 @@ def cut(picture: Grey, rays: Rays, tubes: tuple[Bore, ...], seen: View, X_EO: Ma
         top, bottom = max(math.floor(v - across), 0), min(math.ceil(v + across) + 1, height)
         left, right = max(math.floor(u - across), 0), min(math.ceil(u + across) + 1, width)
         if top < bottom and left < right:
-            _cut(picture, rays, tube, seen, (top, bottom, left, right), np.empty((3, 3)))
+            _cut_bore(picture, rays, tube, seen, (top, bottom, left, right), np.empty((3, 3)))
 
 
 @allocation_free(nogil=True)
-def _cut(
+def _cut_bore(
     picture: Grey, rays: Rays, tube: Bore, seen: View, box: tuple[int, int, int, int], h: Matrix
 ) -> None:
     shape, mouth, collar = tube

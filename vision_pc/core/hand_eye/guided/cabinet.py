@@ -76,7 +76,7 @@ class CabinetLocator:
         """
         drawing = self._drawing
         X_CA = self._front_pose(pair.left, camera.left)
-        found = tuple(_located(pair, drawing, target, X_CA, camera) for target in drawing.targets)
+        found = tuple(_locate_target(pair, drawing, target, X_CA, camera) for target in drawing.targets)
         _refuse_strangers(found, drawing)
         return found
 
@@ -141,7 +141,7 @@ def _distances(points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
 
 
-def _located(
+def _locate_target(
     pair: StereoPair, drawing: Drawing, target: Target, X_CA: Array, camera: CameraCalibration
 ) -> Located:
     rays, correlations = [], []

@@ -71,7 +71,7 @@ def shared_errors(links: Links, arm: ArmUncertainty, q: Array) -> Array:
         columns.append(-1e-3 * arm.bending_mrad_m[k] * raised[:, k, None, None] * axis)
         end = F[:, k + 1] if k + 1 < JOINTS else F[:, -1]
         scale = 1e-3 * np.repeat([arm.link_offset_std_mm[k], arm.link_tilt_std_mrad[k]], 3)
-        columns.append(_carried(to_hand[:, 0] @ end) * scale)
+        columns.append(_adjoints(to_hand[:, 0] @ end) * scale)
     return np.concatenate(columns, axis=2)
 
 
@@ -80,7 +80,7 @@ def backlash(links: Links, arm: ArmUncertainty, q: Array) -> Array:
     return np.asarray(joint_motions(frames(links, q)) * 1e-3 * np.array(arm.play_mrad))
 
 
-def _carried(X: Array) -> Array:
+def _adjoints(X: Array) -> Array:
     """Motions of a frame seen as motions of another that it lies in at X (n, 4, 4): (n, 6, 6)."""
     R = X[:, :3, :3]
     A = np.zeros((len(X), 6, 6))

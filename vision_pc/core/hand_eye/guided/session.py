@@ -186,7 +186,7 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
             "refused.hand_eye.format", f"format is {document.get('format')!r}, {FORMAT!r} is wanted"
         )
     try:
-        session = _read(_upgraded(document) if document["format"] == FORMAT_1 else document, camera)
+        session = _session_from(_upgraded(document) if document["format"] == FORMAT_1 else document, camera)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         what = f"key {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise RequestRefused(
@@ -233,7 +233,7 @@ def _link(values: Mapping[str, Any]) -> DhLink:
     return DhLink(*(float(_matrix(values[key], ())) for key in DhLink._fields))
 
 
-def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
+def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
     start, p = document["start"], document["proposal"]
     hidden = tuple(tuple(_rectangle(r) for r in eye) for eye in start["hidden_px"])
     samples = tuple(

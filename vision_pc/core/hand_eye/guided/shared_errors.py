@@ -65,7 +65,7 @@ def fit(H: Array, P: Array, weights: Array, doubts: Doubts, X: Array, Z: Array) 
     used = weights > 0.5
     kept = Doubts(*(part[used] for part in doubts))
     try:
-        X, Z, errors, factors, covariance, by_noise = _fitted(H[used], P[used], kept, X, Z)
+        X, Z, errors, factors, covariance, by_noise = _fit_shared(H[used], P[used], kept, X, Z)
     except np.linalg.LinAlgError as error:
         raise MeasurementFailed(
             "measurement.hand_eye.singular",
@@ -76,7 +76,7 @@ def fit(H: Array, P: Array, weights: Array, doubts: Doubts, X: Array, Z: Array) 
     return SharedFit(X, Z, errors, true_H, true_P, covariance, by_noise, (camera, play))
 
 
-def _fitted(
+def _fit_shared(
     H: Array, P: Array, doubts: Doubts, X: Array, Z: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     k = doubts.hand.shape[-1]

@@ -82,13 +82,13 @@ def solve(chordal: ChordalProblem) -> tuple[Array, Array, Certificate]:
     moments = smat(solution.dual, _SIZE)
     R_X, R_Z = _rounded(moments)
     R_X, R_Z = _polished(chordal.M, R_X, R_Z)
-    v = _stacked(R_X, R_Z)
+    v = _stack_rotations(R_X, R_Z)
     certificate = _certificate(chordal.M, v, solution.primal, constraints, moments)
     t = chordal.recover @ v
     return stacks.transform(R_X, t[:3]), stacks.transform(R_Z, t[3:]), certificate
 
 
-def _stacked(R_X: Array, R_Z: Array) -> Array:
+def _stack_rotations(R_X: Array, R_Z: Array) -> Array:
     return np.concatenate([R_X.reshape(9), R_Z.reshape(9), [1.0]])
 
 
@@ -107,7 +107,7 @@ def _polished(M: Array, R_X: Array, R_Z: Array) -> tuple[Array, Array]:
     """The stationary point next to R_X, R_Z, by Newton on SO(3)² with the exact second derivative."""
     generators = stacks.hat(np.eye(3))
     for _ in range(_NEWTON_STEPS):
-        v = _stacked(R_X, R_Z)
+        v = _stack_rotations(R_X, R_Z)
         J = np.zeros((_SIZE, 6))
         J[:9, :3] = (generators @ R_X).reshape(3, 9).T
         J[9:18, 3:] = (generators @ R_Z).reshape(3, 9).T

@@ -178,7 +178,7 @@ def _misread(
     near = [reading for reading in others if reading.misfit <= _AS_WELL * others[0].misfit]
     least = min(_mistakes(reading) for reading in near)
     likely = [reading for reading in near if _mistakes(reading) == least]
-    words = " or ".join(_described(reading) for reading in likely)
+    words = " or ".join(_describe_reading(reading) for reading in likely)
     cause = "misread" if all(reading.mistake for reading in likely) else "scale"
     return _Misread(f"measurement.hand_eye.{cause}", f"likely {words}: {_fits(likely[0])}", likely[0].noise)
 
@@ -187,14 +187,14 @@ def _mistakes(reading: Reading) -> int:
     return bool(reading.mistake) + (reading.scale != 1.0)
 
 
-def _described(reading: Reading) -> str:
+def _describe_reading(reading: Reading) -> str:
     if reading.scale == 1.0:
         return reading.mistake
-    lengths = f"camera lengths have to be multiplied by {reading.scale:.4g}{_named(reading.scale)}"
+    lengths = f"camera lengths have to be multiplied by {reading.scale:.4g}{_name_of_factor(reading.scale)}"
     return f"{reading.mistake}, and {lengths}" if reading.mistake else lengths
 
 
-def _named(factor: float) -> str:
+def _name_of_factor(factor: float) -> str:
     known = [words for value, words in _SCALES.items() if abs(factor / value - 1.0) < 0.03]
     return f" ({known[0] if known else 'a target of another size than said, or a wrong focal length'})"
 
@@ -222,7 +222,7 @@ def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:
         return None
     reason = (
         f"camera lengths fit when multiplied by {found.factor:.4g} ± {found.std:.2g}, "
-        f"limit 1 ± {limits.scale_questioned:g}{_named(found.factor)}"
+        f"limit 1 ± {limits.scale_questioned:g}{_name_of_factor(found.factor)}"
     )
     return Doubt("measurement.hand_eye.scale", reason, off > limits.scale_refused)
 

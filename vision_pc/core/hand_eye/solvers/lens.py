@@ -80,7 +80,7 @@ def share(pairs: PosePairs, result: HandEyeResult, lens: KnownLens) -> Array:
     kept = pairs.subset(result.inliers[np.array(pairs.order)])
     equations = Equations(kept.H, kept.P, np.ones(len(kept)), kept.setup)
     noise = result.noise or result.residual_noise()
-    moved = np.stack([_moved(kept, k, lens) for k in range(len(kept))])
+    moved = np.stack([_target_motion_by_lens(kept, k, lens) for k in range(len(kept))])
     r = ml.residuals(kept.H, kept.P, result.X, result.Z)
     W = ml.whitener(equations, result.X, result.Z, noise)
     J = ml.whitened(W, ml.jacobian(equations, result.X, result.Z, r)).reshape(-1, 12)
@@ -89,7 +89,7 @@ def share(pairs: PosePairs, result: HandEyeResult, lens: KnownLens) -> Array:
     return np.asarray(by_lens @ lens.covariance @ by_lens.T)
 
 
-def _moved(pairs: PosePairs, k: int, lens: KnownLens) -> Array:
+def _target_motion_by_lens(pairs: PosePairs, k: int, lens: KnownLens) -> Array:
     """How the measured target of sample k moves, [δp; δθ] in camera axes, for each of the lens's numbers."""
     P = pairs.P[k]
     if pairs.corners is None:

@@ -133,7 +133,7 @@ def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int 
     damping = 0.0
     for _ in range(steps):
         information, gradient = J.T @ J, J.T @ r
-        step = _solved(information, gradient, damping)
+        step = _solve_damped(information, gradient, damping)
         candidate_X, candidate_Z = moved(X, Z, -step, equations.tied)
         new_r, new_J, new_cost = _linearised(equations, candidate_X, candidate_Z, noise)
         length = float(step @ information @ step)
@@ -168,7 +168,7 @@ def cost(equations: Equations, X: Array, Z: Array, noise: Noise) -> float:
     return float(np.sum(white * white))
 
 
-def _solved(information: Array, gradient: Array, damping: float) -> Array:
+def _solve_damped(information: Array, gradient: Array, damping: float) -> Array:
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(scale, scale) + damping * np.eye(len(scale))
     try:

@@ -74,7 +74,9 @@ def estimated(
     for _ in range(_LINEARISATIONS):
         estimate = ml.maximize(equations, X, Z, noise, steps=_STEPS)
         X, Z = estimate.X, estimate.Z
-        noise = _shown(_linearised(equations, estimate, _FIELDS[source]), noise, samples < _FOR_RATIO)
+        noise = _noise_explaining(
+            _linearised(equations, estimate, _FIELDS[source]), noise, samples < _FOR_RATIO
+        )
     return ml.maximize(equations, X, Z, noise), noise
 
 
@@ -103,7 +105,7 @@ def _linearised(equations: Equations, estimate: Estimate, fields: tuple[str, ...
     return _LinearisedNoise(r, ml.jacobian(kept, estimate.X, estimate.Z, r), np.stack(units), fields)
 
 
-def _shown(linear: _LinearisedNoise, noise: Noise, keep_ratio: bool) -> Noise:
+def _noise_explaining(linear: _LinearisedNoise, noise: Noise, keep_ratio: bool) -> Noise:
     """The noise whose every component explains the residuals: each is scaled by what they show of it."""
     sizes = np.array([getattr(noise, name) for name in linear.fields])
     for _ in range(_ROUNDS):

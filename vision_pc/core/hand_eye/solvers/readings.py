@@ -56,7 +56,7 @@ class Reading(NamedTuple):
 
 def given(pairs: PosePairs) -> Reading | None:
     """The samples as they are given; None where they fit nothing."""
-    return _read("", pairs)
+    return _reading_of("", pairs)
 
 
 def others(pairs: PosePairs) -> tuple[Reading, ...]:
@@ -64,11 +64,14 @@ def others(pairs: PosePairs) -> tuple[Reading, ...]:
 
     The scale is freed where rotations, which know none, fit nearly as well as in the best reading.
     """
-    read = [(pairs, given(pairs)), *((other, _read(mistake, other)) for mistake, other in _mistaken(pairs))]
+    read = [
+        (pairs, given(pairs)),
+        *((other, _reading_of(mistake, other)) for mistake, other in _mistaken(pairs)),
+    ]
     turned = [(other, reading) for other, reading in read if reading is not None]
     least = min((reading.noise.camera_rotation for _, reading in turned), default=0.0)
     scaled = [
-        _read(reading.mistake, other, free=True)
+        _reading_of(reading.mistake, other, free=True)
         for other, reading in turned
         if reading.noise.camera_rotation <= _NEARLY * least
     ]
@@ -91,7 +94,7 @@ def _mistaken(pairs: PosePairs) -> Iterator[tuple[str, PosePairs]]:
     if len(pairs) >= _LEAST_TO_SHIFT:
         for step, where in ((1, "next"), (-1, "previous")):
             shifted = f"sides are shifted by one: each hand pose belongs to the {where} camera pose"
-            yield shifted, _shifted(pairs, step)
+            yield shifted, _pairs_shifted(pairs, step)
 
 
 def _transposed(X: Array) -> Array:
@@ -108,7 +111,7 @@ def _on_the_hand(pairs: PosePairs, how: Callable[[Array], Array]) -> Array:
     return X_BT if pairs.setup is Setup.EYE_IN_HAND else stacks.inverse(X_BT)
 
 
-def _shifted(pairs: PosePairs, step: int) -> PosePairs:
+def _pairs_shifted(pairs: PosePairs, step: int) -> PosePairs:
     """Hand poses beside the camera poses ``step`` later in the caller's order; the ends fall away."""
     back = np.argsort(np.array(pairs.order))
     hands, cameras = (back[:-1], back[1:]) if step > 0 else (back[1:], back[:-1])
@@ -116,7 +119,7 @@ def _shifted(pairs: PosePairs, step: int) -> PosePairs:
     return PosePairs(pairs.setup, pairs.H[hands], pairs.P[cameras], names, tuple(range(len(names))))
 
 
-def _read(mistake: str, pairs: PosePairs, free: bool = False) -> Reading | None:
+def _reading_of(mistake: str, pairs: PosePairs, free: bool = False) -> Reading | None:
     """The samples so read, with camera lengths as they are or scaled; None where nothing fits."""
     p = parts(pairs, all_motions(pairs))
     try:
@@ -151,7 +154,7 @@ def rough_scale(p: Parts) -> float:
     """
     n = len(p.H)
     wanted = (n + 4) // 2
-    factors, misfits = _fitted(p, consensus.triple_weights(n))
+    factors, misfits = _fit_scale(p, consensus.triple_weights(n))
     score = np.sort(misfits, axis=-1)[..., wanted - 1]
     found = []
     for k in np.argsort(score, kind="stable")[:_BEST]:
@@ -159,12 +162,12 @@ def rough_scale(p: Parts) -> float:
         for _ in range(_CONCENTRATIONS):
             kept = np.zeros(n)
             kept[np.argsort(misfit, kind="stable")[:wanted]] = 1.0
-            factor, misfit = _fitted(p, kept)
+            factor, misfit = _fit_scale(p, kept)
         found.append((float(np.sort(misfit)[wanted - 1]), float(factor)))
     return min(found)[1]
 
 
-def _fitted(p: Parts, weights: Array) -> tuple[Array, Array]:
+def _fit_scale(p: Parts, weights: Array) -> tuple[Array, Array]:
     """The scale (...) for sample ``weights`` (..., n), and each sample's misfit (..., n) in rad m."""
     X, Z = start_of(p, weights)
     R_X = X[..., :3, :3]

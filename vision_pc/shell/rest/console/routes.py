@@ -204,7 +204,7 @@ class Console:
             self._measure_when_due(now_s, seen.state)
         self._number += 1
         anew_s = self._overview.anew_at or 0.0
-        told = _told([each for each in operations if (each.ended_at or now_s) >= anew_s])
+        told = _predicted_end([each for each in operations if (each.ended_at or now_s) >= anew_s])
         document = {
             "number": self._number,
             "time": now_s,
@@ -279,7 +279,7 @@ def _age_s(captured_ns: int) -> float:
     return 1e-9 * (time.monotonic_ns() - captured_ns)
 
 
-def _told(operations: list[Operation]) -> JSON | None:
+def _predicted_end(operations: list[Operation]) -> JSON | None:
     """What the newest operation told of where it would end; nothing once something else has moved the arm."""
     moving = [operation for operation in operations if operation.kind != "look"]
     return told_by(moving[-1].kind, moving[-1].result) if moving else None
