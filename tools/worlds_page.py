@@ -1,6 +1,5 @@
 """The generated tables of docs/worlds.md; ``python -m tools.worlds_page`` writes them."""
 
-import re
 from pathlib import Path
 
 from laboratory.experiments.positioning.worlds import WORLDS
@@ -12,26 +11,24 @@ PAGE = Path(__file__).parents[1] / "docs" / "worlds.md"
 
 def sections() -> dict[str, str]:
     """Every generated section by its name."""
-    worlds = ((f"`{name}`", f"`{world.arm}`", _axes_of(name)) for name, world in WORLDS.items())
     axes = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
-    drawn = ((_words(axis.name), axis.width, _tags(axis.source)) for axis in axes.values())
+    worlds = ((f"`{name}`", f"`{world.arm}`", _axes_of(name, list(axes))) for name, world in WORLDS.items())
+    drawn = (f"- **{_words(axis.name)}**: {axis.width}" for axis in axes.values())
     return {
         "worlds": table("world | arm | drawn beside the task and the lab's own", worlds),
-        "axes": table("axis | how wide | basis", drawn),
+        "axes": "\n".join(drawn),
     }
 
 
-def _axes_of(name: str) -> str:
-    """What the world draws, or the first world that draws the same."""
-    drawn = {world: [axis.name for axis in of.axes] for world, of in WORLDS.items()}
-    first = next(world for world, axes in drawn.items() if axes == drawn[name])
-    words = ", ".join(_words(axis) for axis in drawn[name]) or "nothing more"
-    return words if first == name else f"as `{first}`"
-
-
-def _tags(source: str) -> str:
-    """The kinds of source, such as [S]; the code has them in words."""
-    return " ".join(dict.fromkeys(re.findall(r"\[[A-Z]\]", source)))
+def _axes_of(name: str, every: list[str]) -> str:
+    """What the world draws: its axes, or those that it leaves out, whichever is shorter."""
+    drawn = [axis.name for axis in WORLDS[name].axes]
+    left_out = [axis for axis in every if axis not in drawn]
+    if not drawn:
+        return "nothing more"
+    if len(left_out) < len(drawn):
+        return f"all axes below but {', '.join(map(_words, left_out))}"
+    return ", ".join(map(_words, drawn))
 
 
 def _words(name: str) -> str:
