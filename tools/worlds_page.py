@@ -12,7 +12,10 @@ PAGE = Path(__file__).parents[1] / "docs" / "worlds.md"
 def sections() -> dict[str, str]:
     """Every generated section by its name."""
     axes = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
-    worlds = ((f"`{name}`", f"`{world.arm}`", _axes_of(name, list(axes))) for name, world in WORLDS.items())
+    worlds = (
+        (f"`{name}`", f"`{world.arm}`", _axes_of([axis.name for axis in world.axes], list(axes)))
+        for name, world in WORLDS.items()
+    )
     drawn = (f"- **{_words(axis.name)}**: {axis.width}" for axis in axes.values())
     return {
         "worlds": table("world | arm | drawn beside the task and the lab's own", worlds),
@@ -20,9 +23,8 @@ def sections() -> dict[str, str]:
     }
 
 
-def _axes_of(name: str, every: list[str]) -> str:
-    """What the world draws: its axes, or those that it leaves out, whichever is shorter."""
-    drawn = [axis.name for axis in WORLDS[name].axes]
+def _axes_of(drawn: list[str], every: list[str]) -> str:
+    """What a world draws: its axes, or those that it leaves out, whichever is shorter."""
     left_out = [axis for axis in every if axis not in drawn]
     if not drawn:
         return "nothing more"
