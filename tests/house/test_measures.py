@@ -10,11 +10,17 @@ ROOMS = measures.rooms(measures.ROOT)
 # What the house may weigh. Lowered with every change that takes something away; raised only by a change that
 # brings a capability, by what that needs, with the reason in its commit.
 BUDGET = {
-    "modules": 885,
-    "lines of source": 110_450,
-    "lines of tests": 67_700,
-    "words of pages": 113_000,
-    "words of the README": 2_335,
+    "lines of conformance": 10_120,
+    "lines of laboratory": 15_790,
+    "lines of product": 75_650,
+    "modules": 680,
+    "lines of source": 101_200,
+    "lines of tests": 62_250,
+    "words of pages": 45_000,
+    "words of the README": 700,
+    "configuration keys": 661,
+    "constants of vision without a tag": 379,
+    "constants of the controller without a tag": 21,
 }
 
 

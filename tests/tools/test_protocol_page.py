@@ -70,7 +70,7 @@ def read_by_the_page(heading: str, data: bytes, base: int) -> dict[str, Any]:
     """Fields of ``data`` by offset and type of the page alone."""
     fields: dict[str, Any] = {}
     for offset, name, kind, *_ in rows_after(heading):
-        match = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", kind)
+        match = re.match(r"(\w+)(?:\[(\d+)\])?(?: |$)", kind)
         assert match is not None
         count = int(match[2] or 1)
         values = struct.unpack_from(f"<{count}{STRUCT_CODES[match[1]]}", data, base + int(offset))
