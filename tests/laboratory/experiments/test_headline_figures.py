@@ -26,12 +26,16 @@ from vision_pc.config.choices import Method
 pytestmark = pytest.mark.slow("whole runs of a campaign")
 
 
-def corrected(arm: str, seed: int) -> float:
-    """The true error in mm after one look and its corrected motion."""
-    run = {"seed": seed, "arm": arm, "world": "lab", "eyes": "model", "assignments": []}
-    rig = prepared(CONFIGS, run)
-    operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0})
-    return float(np.abs(true_error_mm(rig)[:2]).max())
+def corrected(arm: str) -> float:
+    """The median of four true errors in mm after one look and its corrected motions."""
+    errors = []
+    for seed in range(1, 5):
+        rig = prepared(
+            CONFIGS, {"seed": seed, "arm": arm, "world": "lab", "eyes": "model", "assignments": []}
+        )
+        operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0})
+        errors.append(float(np.abs(true_error_mm(rig)[:2]).max()))
+    return float(np.median(errors))
 
 
 def demonstrated(seed: int) -> float:
@@ -61,8 +65,8 @@ def robust() -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("measured", "limits"),
     [
-        pytest.param(partial(corrected, "plant", 2), (0.89,), id="one look, 4 m arm"),  # 95 % of 100 runs
-        pytest.param(partial(corrected, "plant_long_crane", 1), (1.1,), id="one look, crane"),  # median 0.83
+        pytest.param(partial(corrected, "plant"), (0.7,), id="one look, 4 m arm"),  # median 0.6
+        pytest.param(partial(corrected, "plant_long_crane"), (1.3,), id="one look, crane"),  # median 1.0
         pytest.param(partial(demonstrated, 1), (1.1,), id="demonstration, look 1"),  # median 1.08 mm
         pytest.param(partial(of_the_paper, (1, 2)), (7.0,), id="paper, second input"),  # all below 10 mm
         pytest.param(robust, (0.15, 2.2), id="hand-eye, 2 of 15 bad"),  # 0.08 degrees, 1.3 mm
