@@ -12,13 +12,18 @@ from rich.progress import Progress
 from rich.table import Table
 
 from conformance.case import CaseOutcome, ConformanceCase, Result, Summary
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.parts import BASE, OptionalPart, profile_from
-from conformance.records import as_json, transcript, write_records
+from conformance.records import (
+    COUPLER_STEPS,
+    REFERENCE_STEPS,
+    FirstHourStep,
+    as_json,
+    transcript,
+    write_records,
+)
 from conformance.runner import Manner, chosen, coupler_cases, reference_cases, run_coupler, run_reference
 from foundation.command_options import unfolded
-from foundation.ports import known_host
-from foundation.secret_source import key_from_file
+from foundation.secret_source import key_from_file, known_host
 from protocol.errors import ConfigurationError
 
 SHOWN_AT_ONCE = (CaseOutcome.FAIL, CaseOutcome.FLAKY)

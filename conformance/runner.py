@@ -6,8 +6,8 @@ from importlib import import_module
 from typing import NamedTuple
 
 from conformance.case import Attempt, CaseOutcome, ConformanceCase, Result, Summary, coupler, reference
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.parts import OptionalPart, Profile
+from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.subjects import NOTHING_FOUND, ControllerSubject, CouplerSubject, LatenessWatch, Subject
 from conformance.wire import Failed, NonceSource, Unsupported
 from protocol.authentication import LinkKey
@@ -28,7 +28,7 @@ _MODULES = (
 class Manner(NamedTuple):
     """How the cases are asked. ``profile`` None: nothing is claimed, and everything asked for.
 
-    ``first_hour``: in the order of ``conformance.first_hour``, up to the first failure.
+    ``first_hour``: in the order of ``conformance.records``, up to the first failure.
     """
 
     profile: Profile | None = None

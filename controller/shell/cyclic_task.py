@@ -4,8 +4,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 
-from foundation.durations import DurationHistogram
-from foundation.periodic_timer import PeriodicTimer
+from foundation.periods import DurationHistogram, PeriodicTimer
 
 
 class CyclicTask:

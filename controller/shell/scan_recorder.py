@@ -12,10 +12,17 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from controller.config import ControllerConfig
 from controller.core.scan_types import ControllerView, ScanEvent, ScanInput, ScanOutput
 from foundation.event_log import Level
+from foundation.recording.decoding import session_entries
 from foundation.recording.mcap_file import Entries, Topic
-from foundation.recording.messages import MessageField, format_of, log_line, message_class, posed
-from foundation.recording.recording_thread import RecordingThread, RecordSink
-from foundation.recording.session import session_entries
+from foundation.recording.messages import (
+    MessageField,
+    RecordingThread,
+    RecordSink,
+    format_of,
+    log_line,
+    message_class,
+    posed,
+)
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from protocol.pose import Pose

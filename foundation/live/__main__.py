@@ -16,13 +16,12 @@ import sys
 from collections.abc import Sequence
 
 from foundation.event_log import EventLog, process_log
+from foundation.live import LiveSettings
 from foundation.live.face import LiveFace
 from foundation.live.feed import access_of
-from foundation.live.settings import LiveSettings
-from foundation.ports import bound_tcp
-from foundation.scheduling import take_policy
-from foundation.service_main import say_ready, when_asked_to_end
-from foundation.signs_of_life import signs_of_life
+from foundation.periods import take_policy
+from foundation.secret_source import bound_tcp
+from foundation.service_main import say_ready, signs_of_life, when_asked_to_end
 from protocol.errors import LongreachError
 
 _REFUSED = 2

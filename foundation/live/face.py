@@ -21,10 +21,9 @@ from websockets.typing import Subprotocol
 from foundation.event_log import EventLog
 from foundation.live import wire
 from foundation.live.wire import LatestQueue
-from foundation.rest.access import Access
 from foundation.rest.guard import AccessGuard
-from foundation.rest.problems import MEDIA_TYPE, problem
-from foundation.rest.refusals import DATA_HEADERS, Refusal, RefusalLog
+from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, Refusal, RefusalLog, problem
+from foundation.rest.tokens import Access
 
 VIEWERS_MAX = 8
 _FIGURES_WITHIN_S = 3.0

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 
-from foundation.durations import DurationHistogram
+from foundation.periods import DurationHistogram
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 # [D] Around what is allowed of a scan and of a step of the plant: 1 to 5 ms.

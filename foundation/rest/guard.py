@@ -10,18 +10,17 @@ from typing import Any
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.rest.access import Access
-from foundation.rest.problems import problem
-from foundation.rest.refusals import (
+from foundation.rest.problems import (
     DATA_POLICY,
     SECURITY_HEADERS,
     Refusal,
     RefusalLog,
     Refuse,
     header_values,
+    problem,
     respond_unread,
 )
-from foundation.rest.tokens import TokenCheck
+from foundation.rest.tokens import Access, TokenCheck
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address

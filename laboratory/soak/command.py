@@ -23,7 +23,7 @@ from testbed.realtime.up import end_on_sigterm, started
 from testbed.reporting.console import bars, err, write_json
 from testbed.reporting.run_directory import run_directory
 from testbed.reporting.run_record import note, note_settings
-from testbed.scenarios.settings import Overrides, with_face
+from testbed.scenarios.scenario import Overrides, with_face
 
 _HEALTHY_S = 60.0
 _WARM_UP_SHARE = 1 / 3  # of the time: caches fill, and vision keeps its last 200 operations

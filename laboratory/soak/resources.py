@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import psutil
 
-from foundation.statistics import resident_mb
+from foundation.self_watch import resident_mb
 from laboratory.campaigns.experiment import Check, at_most
 from testbed.realtime.launch import CONTROLLER, PLANT
 from testbed.reporting.console import out, table

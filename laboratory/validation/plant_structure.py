@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from laboratory.validation.oracles import MujocoArm, PinocchioArm
+from laboratory.validation.ledger import MujocoArm, PinocchioArm
 from laboratory.validation.plant_dynamics import decrement, period
 from laboratory.validation.plant_rig import Stand, ValidationCase, default_config
 from plant_emulator.core import columns as col

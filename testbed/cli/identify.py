@@ -10,8 +10,19 @@ from foundation.configuration import configuration_hash, parse_overrides
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from testbed.cli.options import IdentifyOptions
-from testbed.identification.checks import Machine, check_recording
-from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
+from testbed.identification.excitation import (
+    FINE_STEP_MS,
+    candidates,
+    chosen,
+    held_out,
+    information_of,
+    informed,
+    not_told,
+    record,
+    standard,
+    widest_overlap,
+)
+from testbed.identification.excitation import PLANNED_JOINTS as PLANNED
 from testbed.identification.findings import (
     excess,
     findings,
@@ -22,12 +33,16 @@ from testbed.identification.findings import (
 )
 from testbed.identification.fit import identify, problem_of
 from testbed.identification.parameters import parameters_of
-from testbed.identification.planning import JOINTS as PLANNED
-from testbed.identification.planning import candidates, chosen, information_of, informed, not_told
-from testbed.identification.recording import hex_hash, read_recording, write_recording
+from testbed.identification.recording import (
+    Machine,
+    check_recording,
+    hex_hash,
+    read_recording,
+    write_recording,
+)
 from testbed.identification.validation import check_believable, check_noise, leaves_noise, validate
 from testbed.reporting.console import Columns, bars, listed, out, writable, write_json
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 
 
 class ToIdentify(NamedTuple):

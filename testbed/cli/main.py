@@ -95,7 +95,7 @@ def up(
 ) -> None:
     """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
     from testbed.realtime.up import run_up
-    from testbed.scenarios.settings import chosen_overrides, with_face
+    from testbed.scenarios.scenario import chosen_overrides, with_face
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     world = with_face(overrides, start.allow_faults, start.show_truth)
@@ -162,7 +162,7 @@ def commission(
     """
     from foundation.configuration import parse_overrides
     from testbed.commissioning.command import CommissionRequest, run_commission
-    from testbed.scenarios.named_requests import fault_orders
+    from testbed.scenarios.scenario import fault_orders
 
     overrides = parse_overrides(settings or [])
     names = [name.strip() for name in joints.split(",")]
@@ -187,12 +187,10 @@ def demo(
     json_file: JsonFile = None,
 ) -> None:
     """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
-    from testbed.demonstration.holes import HOLES
-    from testbed.demonstration.lockstep import run_lockstep_demo
-    from testbed.demonstration.realtime import run_demo
-    from testbed.reporting.presentation import Choice
-    from testbed.scenarios.named_requests import fault_orders, named_request
-    from testbed.scenarios.settings import chosen_overrides, with_face
+    from testbed.demonstration.runs import run_demo, run_lockstep_demo
+    from testbed.demonstration.sequence import HOLES
+    from testbed.reporting.run_directory import Choice
+    from testbed.scenarios.scenario import chosen_overrides, fault_orders, named_request, with_face
 
     holes = chosen.target is DemoTarget.HOLE
     programs = tuple(named_request(word) for word in disturbed.program or [])

@@ -13,8 +13,7 @@ from typer.exceptions import TyperException
 
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.cli.later import Later, LaterGroup
-from testbed.reporting.console import Verbosity, err
-from testbed.reporting.ctrl_c import INTERRUPTED, LONG, long_command
+from testbed.reporting.console import INTERRUPTED, LONG, Verbosity, err, long_command
 
 FAILED = 2
 _TYPED = "longreach.typed"  # the words after `longreach`, in the context's notes
@@ -31,7 +30,7 @@ LATER = {
     ),
     "arm": Later("testbed.cli.arm", "Arms: which there are, whether one is right, one of your own."),
     "camera": Later("testbed.cli.camera", "A stereo camera: check, calibrate, convert."),
-    "hand-eye": Later("testbed.cli.hand_eye.command", "Hand-eye calibration, guided on a rig or from files."),
+    "hand-eye": Later("testbed.cli.hand_eye", "Hand-eye calibration, guided on a rig or from files."),
     "conformance": Later(
         "conformance.command",
         "Numbered questions to any controller or coupler, each citing a written clause.",

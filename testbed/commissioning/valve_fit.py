@@ -24,11 +24,9 @@ from scipy.optimize import minimize_scalar
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.loop_fit import Floor, loop_of
-from testbed.commissioning.ramp_fit import fit_flowing, fit_step
-from testbed.commissioning.ramp_rows import FED_BAR, SLOW, smoothed_speed
+from testbed.commissioning.ramp_fit import Floor, fit_flowing, fit_step, loop_of
+from testbed.commissioning.ramp_rows import FED_BAR, SLOW, Uncertain, repeated, smoothed_speed
 from testbed.commissioning.recording import StrokeRecord, air_compressed
-from testbed.commissioning.uncertain import Uncertain, repeated
 
 _LAMINAR_BAR = 8.0  # the most at which an edge's flow may turn from laminar to turbulent
 _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahead

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple, cast
 import typer
 
 from foundation.command_options import unfolded
-from foundation.ports import known_host
+from foundation.secret_source import known_host
 from protocol.errors import ConfigurationError
 from testbed.fault_proxy.faults import Delivery, FaultLine, Faults
 

@@ -21,9 +21,17 @@ from testbed.identification.operating import (
     pressure_fit,
 )
 from testbed.identification.parameters import Parameter, base_of, parameters_of, start_parameters
-from testbed.identification.problem import FitProblem, misfit, signals_of
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import DAMPINGS, Fit, Plan, refined, shoot
+from testbed.identification.shooting import (
+    DAMPINGS,
+    Fit,
+    FitProblem,
+    Plan,
+    misfit,
+    refined,
+    shoot,
+    signals_of,
+)
 from testbed.identification.static_fit import DeadZone, ForceBalance, balance, dead_zone
 
 WINDOW_S = 0.5

@@ -9,8 +9,8 @@ from protocol.errors import ConfigurationError
 from testbed.identification.fit import Identified
 from testbed.identification.free_run import measured, predicted
 from testbed.identification.parameters import Parameter, moved_start
-from testbed.identification.problem import FitProblem, plant_of
 from testbed.identification.recording import Array, MotionRecording
+from testbed.identification.shooting import FitProblem, plant_of
 
 LEAST_FIT = 0.9
 """Of a joint's angle on held-out motion: 1 − |error| / |motion|; below it, a plant is not believed."""

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 from mcap.records import Message, Metadata
 
 from foundation.configuration import merged, validated
-from foundation.recording.decoding import Damage, RecordingUnreadable, messages, walk
+from foundation.recording.decoding import Damage, RecordingUnreadable, messages, session_entries, walk
 from foundation.recording.messages import fields_of
-from foundation.recording.session import session_entries
 from nominal_arm.description import NominalArm
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import Look, WatchSample

@@ -14,10 +14,9 @@ from typer.testing import CliRunner
 
 from conformance.case import CaseOutcome, CaseRegister, Summary
 from conformance.command import app as suites
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS
 from conformance.parts import OptionalPart, Profile, profile_from
 from conformance.peer import Peer
-from conformance.records import SCHEMA, SCHEMA_VERSION, as_json, write_records
+from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, SCHEMA, SCHEMA_VERSION, as_json, write_records
 from conformance.runner import Manner, coupler_cases, run_coupler, run_reference
 from conformance.subjects import figures_of
 from conformance.wire import NonceSource

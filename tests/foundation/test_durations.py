@@ -2,7 +2,7 @@
 
 import pytest
 
-from foundation.durations import DurationHistogram, percent_missed
+from foundation.periods import DurationHistogram, percent_missed
 
 
 def test_percentiles_are_exact_to_the_microsecond() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from foundation import self_watch
 from foundation.event_log import EventLog
-from foundation.overload import Limit, OverloadWatch, Tally
+from foundation.periods import Limit, OverloadWatch, Tally
 from foundation.self_watch import SelfWatch
 
 S = 1_000_000_000

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from foundation.scheduling import take_fifo, take_policy
+from foundation.periods import take_fifo, take_policy
 
 SHORT_SLICES_SINCE = (6, 12)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from foundation.event_log import EventLog
-from foundation.ports import bound_tcp, bound_udp
+from foundation.secret_source import bound_tcp, bound_udp
 from foundation.service_main import RECORDS, ServiceOptions, ServiceProgram, Switch, service_main
 from protocol.errors import ConfigurationError, LinkLost
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener, signs_of_life
+from foundation.service_main import LONGEST_SILENCE, SOCKET, Listener, signs_of_life
 
 MS = 1_000_000
 

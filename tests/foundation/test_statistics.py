@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from foundation.statistics import StatisticsFile, resident_mb
+from foundation.self_watch import StatisticsFile, resident_mb
 from protocol.errors import ConfigurationError
 from tests.support.log_lines import HeardLog
 
@@ -61,7 +61,7 @@ async def test_a_disk_that_hangs_does_not_hold_the_loop(
             stood_still.set()
         return 0
 
-    monkeypatch.setattr("foundation.statistics._PERIOD_S", 0.0)
+    monkeypatch.setattr("foundation.self_watch._PERIOD_S", 0.0)
     monkeypatch.setattr(Path, "write_text", hang)
     file = StatisticsFile(tmp_path / "statistics.json", "vision_pc", log, dict)
     writing = asyncio.create_task(file.keep_writing())

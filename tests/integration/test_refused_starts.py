@@ -11,7 +11,7 @@ import controller.__main__
 import plant_emulator.__main__
 import vision_pc.__main__
 from testbed.cli.main import main as command
-from testbed.realtime.supervisor import free_port
+from testbed.realtime.launch import free_port
 from tests.integration.services import run_service
 from tests.support.paths import CONFIGS
 

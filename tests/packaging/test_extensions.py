@@ -29,7 +29,7 @@ from protocol.errors import ConfigurationError, RequestRefused
 from testbed.cli.main import app
 from testbed.demonstration.sequence import Recorder, demonstrate
 from testbed.reporting.console import bars
-from testbed.scenarios.named_requests import fault_orders, named_request
+from testbed.scenarios.scenario import fault_orders, named_request
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.plant_world import plant_config
 from tests.support.pages import page

@@ -5,7 +5,7 @@ from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from foundation.scheduling import take_policy
+from foundation.periods import take_policy
 from vision_pc.application.ports import Clock
 
 T = TypeVar("T")

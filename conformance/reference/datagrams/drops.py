@@ -3,14 +3,13 @@
 from collections.abc import Callable, Iterator
 from itertools import chain
 
-from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY
 from conformance.reference.datagrams.refusals import MAGIC_BIT
 from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
 from conformance.reference.handshake import SLACK_MS, granted
-from conformance.wire import MS, SEQUENCES, Failed, require
+from conformance.wire import MS, SEQUENCES, Failed, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
 from protocol.datagram import Header, encode
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, Kind, offsets, size_of

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 
-from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, refused, stop
 from conformance.reference.sessions import hello, welcomes
-from conformance.wire import MS, Unsupported, require
+from conformance.wire import MS, Unsupported, require, resealed, with_bit_flipped
 from protocol.datagram import Header, encode
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
 from protocol.faults import Reason

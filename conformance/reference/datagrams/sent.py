@@ -2,7 +2,6 @@
 
 import itertools
 
-from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY, opened, signed
@@ -10,7 +9,7 @@ from conformance.reference.authentication import case as key_case
 from conformance.reference.datagrams.clocks import WINDOW, tallies
 from conformance.reference.framing import MAJOR, SPARE, refused, stop
 from conformance.reference.handshake import granted, require_begun
-from conformance.wire import ANSWER_MS, MS, require
+from conformance.wire import ANSWER_MS, MS, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import (

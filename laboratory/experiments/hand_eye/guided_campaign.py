@@ -20,7 +20,7 @@ from laboratory.experiments.hand_eye.guided_experiment import (
     word_of,
 )
 from testbed.reporting.console import table
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from vision_pc.config.choices import Method
 
 _PAPER_MM = 2.9  # Hua et al. 2024, Fig. 5: DQCR

@@ -17,9 +17,9 @@ from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.boards import board_points, board_pose
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, MotionUnsettled, RequestRefused
-from testbed.lockstep import guided_rig
-from testbed.lockstep.guided_rig import GuidedRig, quiet
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.lockstep import rig as lockstep_rig
+from testbed.lockstep.rig import GuidedRig, quiet
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from vision_pc.application.hand_eye.driving import ended_in_fault
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
@@ -50,8 +50,8 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     settings = load_settings(config_dir, chosen_overrides(config_dir, task["scenario"], seed, []))
     with tempfile.TemporaryDirectory() as sessions:
         rig = GuidedRig(settings, seed, Path(sessions))
-        check = guided_rig.start(rig, "guided", seed)
-        faults = guided_rig.take_all(rig, informative=True)
+        check = lockstep_rig.start(rig, "guided", seed)
+        faults = lockstep_rig.take_all(rig, informative=True)
         session = rig.guided.session
         rig.run(rig.guided.solve())
         row: dict[str, Any] = {"seed": seed, "promised_mm": 1e3 * check.promised_std[0]}
@@ -59,8 +59,8 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
         row |= _localisation(rig, session, task["repetitions"], seed)
         if task["random"]:
             other = GuidedRig(settings, seed, Path(sessions))
-            guided_rig.start(other, "random", seed)
-            faults += guided_rig.take_all(other, informative=False)
+            lockstep_rig.start(other, "random", seed)
+            faults += lockstep_rig.take_all(other, informative=False)
             at_random = _curve("random", other.guided.session, rig.X_TC)
             row |= at_random | {"curves": row["curves"] | at_random["curves"]}
     return row | {"guided_refused": len(session.refused), "faults": faults + row.get("locating_faults", 0)}
@@ -144,7 +144,7 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
             refused += 1
             if ended_in_fault(error):
                 faults += 1
-                guided_rig.recover(rig)
+                lockstep_rig.recover(rig)
             continue
         except (MeasurementFailed, MotionUnsettled):
             unseen += 1

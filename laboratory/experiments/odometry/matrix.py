@@ -17,13 +17,14 @@ from foundation.configuration import load
 from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Experiment, seeds
 from laboratory.experiments.odometry import orb_slam3
-from laboratory.experiments.odometry.judging import gross, judged
 from laboratory.experiments.odometry.open_worlds import OPEN_KINDS, open_sequence
 from laboratory.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from laboratory.experiments.odometry.sequences import KINDS, Sequence, sequence
 from laboratory.experiments.odometry.verdict import (
     MatrixRow,
     MatrixSettings,
+    gross,
+    judged,
     matrix_figures,
     matrix_table,
     matrix_verdict,

@@ -26,8 +26,7 @@ from testbed.reporting.console import out, table
 from testbed.reporting.plots import svg
 from testbed.reporting.report import rendered
 from testbed.reporting.run_record import KeptRun, beginning
-from testbed.scenarios.scenario import load_scenario
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_scenario, load_settings
 
 Measured = dict[str, list[Row]]
 

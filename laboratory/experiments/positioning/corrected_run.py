@@ -19,12 +19,11 @@ from laboratory.experiments.positioning.worlds import WORLDS, WorldName, stated_
 from nominal_arm.commissioned import JointPlay
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
-from testbed.lockstep.eyes import SightMaker
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
+from testbed.lockstep.simulated_measurements import SightMaker, load_eye_model, simulated_sight
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 from vision_pc.core.positioning.expected_end import ExpectedEnd, ellipse_level
 from vision_pc.core.se3 import Array

@@ -25,7 +25,7 @@ from protocol.errors import LongreachError, MeasurementFailed
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 

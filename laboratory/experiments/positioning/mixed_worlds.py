@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from foundation.configuration import merged
 from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import WORLDS, WorldName
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.scenarios.scenario import nested
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings, nested
 
 JSON = dict[str, Any]
 OTHER = 1_000_000_000  # from the seed of a world to that of the one it is mixed with

@@ -10,19 +10,16 @@ import typer
 from rich.table import Table
 
 from foundation.configuration import merged, parse_overrides
-from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.campaign import CampaignRequest, Task, sources_hash
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, seeds
 from laboratory.campaigns.options import Assignments, Scenario
-from laboratory.campaigns.provenance import sources_hash
 from laboratory.experiments.positioning.results import quantile, share
 from plant_emulator.shell.installed_faults import installed_faults
-from testbed.demonstration.lockstep import run_lockstep
+from testbed.demonstration.runs import run_lockstep
 from testbed.reporting.console import bars, table
 from testbed.reporting.outcome import Outcome
-from testbed.reporting.presentation import Choice
-from testbed.scenarios.named_requests import fault_orders, named_request
-from testbed.scenarios.scenario import load_scenario
-from testbed.scenarios.settings import load_settings
+from testbed.reporting.run_directory import Choice
+from testbed.scenarios.scenario import fault_orders, load_scenario, load_settings, named_request
 from vision_pc.core.se3 import Array
 from vision_pc.shell.installed_programs import installed_programs
 

@@ -22,7 +22,7 @@ from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.arms import DEFAULT_ARM, arm_overrides
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core.se3 import Array, exp_so3, inverse, log_so3, transform
 
 _TRIES = 20_000

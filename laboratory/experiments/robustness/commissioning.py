@@ -20,16 +20,15 @@ from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.findings import JointFindings, joint_findings
-from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
+from testbed.commissioning.ramp_rows import Uncertain
 from testbed.commissioning.recording import JointRecording
-from testbed.commissioning.uncertain import Uncertain
+from testbed.commissioning.runs import excite_in_lockstep, with_excitation
 from testbed.commissioning.valve_fit import EdgeFindings
-from testbed.lockstep.eyes import eyes_with
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
+from testbed.lockstep.clock import RunLog
+from testbed.lockstep.simulated_measurements import eyes_with, load_eye_model, simulated_sight
 from testbed.lockstep.world import World
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 
 _STREAM = 0x636F6D6D
 _AXES = (axes.friction, axes.bending, axes.play, axes_of_sight.stamps)

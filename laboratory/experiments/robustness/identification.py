@@ -16,12 +16,11 @@ from foundation.configuration import load
 from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
 from plant_emulator.config.plant import PlantConfig
-from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
 from testbed.identification.findings import excess, findings
 from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
-from testbed.identification.recording import Array
+from testbed.identification.recording import Array, Machine, check_recording
 from testbed.identification.validation import check_believable, check_noise, validate
 from testbed.reporting.console import Columns, listed
 

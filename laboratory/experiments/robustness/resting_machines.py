@@ -24,10 +24,10 @@ from protocol.errors import MeasurementFailed
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from testbed.reporting.console import table
 from testbed.scenarios.arms import arm_overrides
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 
 _STREAM = 0x72657374
 _FURTHEST_M, _NEAREST_M, _TURN_DEG = 0.3, 0.03, 8.0

@@ -17,11 +17,10 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import StreamedPose
-from testbed.lockstep.clock import run
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import World
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from vision_pc.core.se3 import Array, exp_so3, from_pose, to_pose
 
 

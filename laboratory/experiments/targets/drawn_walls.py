@@ -17,7 +17,7 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.camera.true_eye import true_eyes
 from plant_emulator.core.camera.wall.bores import height_of_wall
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.look import observe

@@ -17,11 +17,10 @@ from laboratory.experiments.positioning.results import LIMIT_MM, quantile, share
 from laboratory.experiments.positioning.worlds import ARMS, WorldName
 from plant_emulator.core.camera.wall.bores import hole_places
 from protocol.errors import LongreachError, MeasurementFailed
-from testbed.lockstep.clock import run
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused

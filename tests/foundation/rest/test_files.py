@@ -7,8 +7,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from foundation.rest.docs_page import add_docs
-from foundation.rest.files import PAGE_POLICY, PageFiles, add_files
+from foundation.rest.files import PAGE_POLICY, PageFiles, add_docs, add_files
 
 
 @pytest.fixture

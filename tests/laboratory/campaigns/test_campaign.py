@@ -19,9 +19,14 @@ import distributed
 import numpy as np
 import pytest
 
-from laboratory.campaigns import campaign, provenance, workforce
-from laboratory.campaigns.campaign import CampaignRequest, configuration_of, evidence_of
-from laboratory.campaigns.provenance import PACKAGES, imported_sources
+from laboratory.campaigns import campaign, workforce
+from laboratory.campaigns.campaign import (
+    PACKAGES,
+    CampaignRequest,
+    configuration_of,
+    evidence_of,
+    imported_sources,
+)
 from laboratory.campaigns.rows import RowFile, cell
 from laboratory.campaigns.workforce import REACH_S
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
@@ -277,7 +282,7 @@ def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
     directory = tmp_path / "rows"
 
     def campaign_now(scheduler: str | None) -> list[dict[str, Any]]:
-        provenance.sources_hash.cache_clear()  # a process reads its own sources once
+        campaign.sources_hash.cache_clear()  # a process reads its own sources once
         return run_campaign(directory, run, tasks(1), scheduler=scheduler, workers=1, title="one")
 
     assert [row["value"] for row in campaign_now(None)] == [1]
@@ -288,7 +293,7 @@ def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
 
 
 def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
-    root = Path(provenance.__file__).parents[2]
+    root = Path(campaign.__file__).parents[2]
     module = "laboratory.experiments.robustness.stream_cuts"
     found = imported_sources(module, {name: root / name for name in PACKAGES})
     loading = (
@@ -302,14 +307,14 @@ def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
 
 
 def test_every_package_that_is_shipped_counts_as_a_source() -> None:
-    project = tomllib.loads((Path(provenance.__file__).parents[2] / "pyproject.toml").read_text())
+    project = tomllib.loads((Path(campaign.__file__).parents[2] / "pyproject.toml").read_text())
     shipped = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     assert set(PACKAGES) == {*shipped, "laboratory"}
 
 
 def test_another_version_of_a_library_measures_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     before = evidence_of(measured)
-    monkeypatch.setattr(provenance, "library_versions", lambda: {"numpy": "0.1"})
+    monkeypatch.setattr(campaign, "library_versions", lambda: {"numpy": "0.1"})
     assert evidence_of(measured) != before
 
 

@@ -36,7 +36,7 @@ from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.positioning.expected_end import expected_end
 

@@ -25,7 +25,7 @@ from laboratory.experiments.paper.campaign import (
 )
 from laboratory.experiments.paper.comparison import TABLES, compared, conclusions
 from laboratory.experiments.paper.measurement import RememberingEyes, bench, measured_on
-from laboratory.experiments.paper.tracing import Tracer
+from laboratory.experiments.paper.sight import Tracer
 from protocol.errors import MeasurementFailed
 from testbed.lockstep.clock import run
 from testbed.reporting.plots import png

@@ -10,18 +10,19 @@ import pytest
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Finished
 from laboratory.experiments.markers import one_picture as one_picture_module
-from laboratory.experiments.markers import readers as readers_module
+from laboratory.experiments.markers import one_picture as readers_module
 from laboratory.experiments.markers.limits import LimitSettings, limit_tasks, limit_verdict
 from laboratory.experiments.markers.one_picture import (
     AXES,
     EMPTY,
     TIME,
     LimitRow,
+    MarkerReading,
     MarkersSeen,
     judged,
     one_picture,
+    readers,
 )
-from laboratory.experiments.markers.readers import MarkerReading, readers
 from laboratory.experiments.markers.rendered_tags import MarkerAspect, TagPicture, clutter, tags
 from protocol.errors import ConfigurationError
 

@@ -7,12 +7,18 @@ import pytest
 
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Finished
-from laboratory.experiments.odometry.judging import gross, is_wrong, judged
 from laboratory.experiments.odometry.matrix import matrix_tasks, one_row
 from laboratory.experiments.odometry.open_worlds import OPEN_KINDS
 from laboratory.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from laboratory.experiments.odometry.sequences import KINDS, sequence
-from laboratory.experiments.odometry.verdict import MatrixRow, MatrixSettings, matrix_verdict
+from laboratory.experiments.odometry.verdict import (
+    MatrixRow,
+    MatrixSettings,
+    gross,
+    is_wrong,
+    judged,
+    matrix_verdict,
+)
 from protocol.errors import ConfigurationError
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array

@@ -7,10 +7,10 @@ import pytest
 
 from foundation.configuration import load
 from laboratory.experiments.odometry import orb_slam3
-from laboratory.experiments.odometry.judging import judged
 from laboratory.experiments.odometry.open_worlds import CAR, OPEN_KINDS, open_sequence
 from laboratory.experiments.odometry.ray_casting import CastWorld, RayCaster, Rectangle, rough_texture
 from laboratory.experiments.odometry.sequences import Sequence
+from laboratory.experiments.odometry.verdict import judged
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.segments import SegmentedOdometry

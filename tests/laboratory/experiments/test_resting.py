@@ -32,7 +32,7 @@ from laboratory.experiments.robustness.resting_machines import (
 from protocol.faults import Reason
 from protocol.pose import Pose
 from protocol.reference_messages import FLAG_SETTLED, ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from tests.support.paths import CONFIGS
 
 TASK = {"seed": 8102, "arm": "plant", "valves": "mobile", "law": "parking", "parks": True, "known": 1.0}

@@ -14,7 +14,7 @@ from laboratory.experiments.positioning.worlds import ARMS, WORLDS, DrawnWorld, 
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from testbed.scenarios.arms import arm_overrides
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.slow("whole runs of a campaign")

@@ -10,14 +10,13 @@ from typer.testing import CliRunner
 
 import longreach
 from foundation.configuration import laid_over, layers, parse_overrides
-from laboratory.campaigns.provenance import content_hash
+from laboratory.campaigns.campaign import content_hash
 from protocol.errors import ConfigurationError
-from testbed.arms.check import check_arm
+from testbed.arms import check_arm
 from testbed.cli.main import app
 from testbed.pictures.machine import draw_machine
 from testbed.scenarios.arms import arm_directory, arm_names, arm_overrides
-from testbed.scenarios.scenario import load_scenario
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_scenario, load_settings
 from tests.support.paths import CONFIGS
 
 CRANE = CONFIGS / "arms/long_crane"

@@ -17,7 +17,7 @@ import pytest
 import typer
 
 from testbed.cli.main import app
-from testbed.reporting.ctrl_c import LONG, long_command, nothing_half_made, table_rows
+from testbed.reporting.console import LONG, long_command, nothing_half_made, table_rows
 from tests.support.pages import page
 
 CPU_S = 6.0  # by then the modules are loaded and the work has begun; waiting commands never use so much

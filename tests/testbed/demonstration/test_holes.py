@@ -11,8 +11,19 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
 from testbed.cli.main import app
-from testbed.demonstration.holes import SeenHole, aimed_truths, chosen, visit_holes
-from testbed.demonstration.sequence import Clicked, Recorder, Rest, TimedTruth, note_of, stages, told_of
+from testbed.demonstration.sequence import (
+    Clicked,
+    Recorder,
+    Rest,
+    SeenHole,
+    TimedTruth,
+    aimed_truths,
+    chosen,
+    note_of,
+    stages,
+    told_of,
+    visit_holes,
+)
 from testbed.reporting.console import bars
 from testbed.reporting.outcome import Array, Outcome, verdict
 from testbed.reporting.report import Picture

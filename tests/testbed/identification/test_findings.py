@@ -12,16 +12,14 @@ from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
 from testbed.cli import identify
 from testbed.cli.options import IdentifyOptions
-from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, Piece, record
 from testbed.identification.findings import findings, write_plant_file
 from testbed.identification.fit import Identified, Simple, problem_of, reported
 from testbed.identification.free_run import measured, predicted
 from testbed.identification.operating import PressureFit
 from testbed.identification.parameters import base_of, changed, parameters_of
-from testbed.identification.problem import FitProblem, signals
-from testbed.identification.recording import MotionRecording
-from testbed.identification.shooting import Fit
+from testbed.identification.recording import Machine, MotionRecording, check_recording
+from testbed.identification.shooting import Fit, FitProblem, signals
 from testbed.identification.validation import check_believable, check_noise, validate, whiteness
 
 CONFIGS = Path(__file__).parents[3] / "configs"

@@ -8,16 +8,14 @@ import pytest
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
-from testbed.identification.checks import Machine, check_recording
 from testbed.identification.compiled_run import drive_of
 from testbed.identification.excitation import FINE_STEP_MS, Piece, record
 from testbed.identification.fit import identify, problem_of, simple_stages
 from testbed.identification.free_run import measured, predicted, start_of
 from testbed.identification.operating import file_model, operating
 from testbed.identification.parameters import base_of, changed, entry, parameters_of, value
-from testbed.identification.problem import FitProblem, jacobian, signals
-from testbed.identification.recording import MotionRecording
-from testbed.identification.shooting import DAMPINGS, Plan, shoot
+from testbed.identification.recording import Machine, MotionRecording, check_recording
+from testbed.identification.shooting import DAMPINGS, FitProblem, Plan, jacobian, shoot, signals
 from testbed.identification.validation import check_believable, check_noise, validate
 
 pytestmark = pytest.mark.slow("plants are identified")

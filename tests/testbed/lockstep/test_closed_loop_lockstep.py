@@ -10,10 +10,10 @@ import pytest
 from laboratory.experiments.positioning.corrected_run import operate, true_error_mm
 from protocol.errors import MeasurementFailed
 from protocol.faults import GroupState
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.types import CameraFrame, FrameObservation
 

@@ -7,11 +7,10 @@ from functools import partial
 import pytest
 
 from foundation.event_log import EventLog
-from testbed.lockstep.frames import LockstepFrames
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.lockstep.simulated_measurements import LockstepFrames, load_eye_model, simulated_sight
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.camera_feed import CameraFeed

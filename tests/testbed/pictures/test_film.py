@@ -9,7 +9,7 @@ from PIL import Image
 
 from testbed.pictures.film import filmed, write_film
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS, ROOT
 
 EVERY_NS = 400_000_000

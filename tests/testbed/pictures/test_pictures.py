@@ -12,11 +12,10 @@ from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import FAULTS
 from testbed.cli.main import app
-from testbed.pictures import effect_sheet
-from testbed.pictures.effects import CLEAN, Effect, effects
+from testbed.pictures import effects as effect_sheet
+from testbed.pictures.effects import CLEAN, COLUMNS, Effect, Pair, contact_sheet, effects
 from testbed.pictures.machine import draw_machine
-from testbed.pictures.sheet import COLUMNS, Pair, contact_sheet
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
 

@@ -11,7 +11,7 @@ import pytest
 from foundation.configuration import read_yaml
 from testbed.cli.doctor import examine
 from testbed.realtime import doctor
-from testbed.realtime.ports import PortUse
+from testbed.realtime.launch import PortUse
 from tests.support.paths import ROOT, copied_configs
 
 

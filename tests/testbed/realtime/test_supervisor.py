@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from testbed.realtime.child import Service, ServiceFailed
-from testbed.realtime.supervisor import Supervisor, free_port, supervised
+from testbed.realtime.launch import Supervisor, free_port, supervised
 
 pytestmark = pytest.mark.realtime
 
@@ -74,7 +74,7 @@ def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
 def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     program = (
         "import time; from pathlib import Path; from testbed.realtime.child import *\n"
-        "from testbed.realtime.supervisor import *\n"
+        "from testbed.realtime.launch import *\n"
         f"s = Supervisor(Path({str(tmp_path)!r}))\n"
         "s.start(Service('x', 'tests.testbed.realtime.child_service', ('good',)))\n"
         "print(s.children['x'].pid, flush=True); time.sleep(60)"

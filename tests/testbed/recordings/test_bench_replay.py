@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import LongreachError
-from testbed.lockstep.recordings import TRUTH, VISION
-from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog
+from testbed.lockstep.rig import TRUTH, VISION, LockstepRig
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.recordings.comparison import OPERATION, REFERENCE, ReplayComparison
 from testbed.recordings.decision_replay import DecisionReplay
@@ -20,7 +19,7 @@ from testbed.recordings.perception_replay import FRAME, PerceptionReplay, pixels
 from testbed.recordings.pixels import RenderedAhead, rendered_ahead
 from testbed.recordings.recorded_vision import recorded_vision
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.program import Program

@@ -13,7 +13,7 @@ from protocol.errors import ConfigurationError, LinkLost
 from testbed.cli.runs import app
 from testbed.reporting import run_record as record
 from testbed.reporting.run_directory import all_runs, one_run, run_directory
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.scheduling import take_policy
+from foundation.periods import take_policy
 from vision_pc.core.types import StereoPair
 
 PICTURE_PERIOD_S = 0.095  # at most ten a second; a camera of ten a second loses none

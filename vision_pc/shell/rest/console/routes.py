@@ -17,8 +17,7 @@ from fastapi import FastAPI, Request
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field
 
-from foundation.rest.files import PageFiles, add_files
-from foundation.rest.home import Home
+from foundation.rest.files import Home, PageFiles, add_files
 from foundation.rest.tokens import Role
 from protocol.errors import LongreachError
 from protocol.reference_messages import State

@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from foundation.command_options import unfolded
-from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource
-from testbed.cli.hand_eye.session import app as session
-from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
+from testbed.cli.hand_eye_session import app as session
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, PicturedBoard, PoseLines, SampleSource
 from testbed.reporting.console import writable
 from vision_pc.config.choices import Detector, Method, Setup
 
@@ -30,7 +29,7 @@ def solve(
 
     Exit status 1 when the verdict is questioned.
     """
-    from testbed.cli.hand_eye.files import run_solve
+    from testbed.cli.hand_eye_files import run_solve
 
     raise typer.Exit(0 if run_solve(source, method, as_given, json_file) else 1)
 
@@ -39,7 +38,7 @@ def solve(
 @unfolded
 def compare(source: SampleSource, json_file: JsonFile = None) -> None:
     """All methods on the same samples: two-fold hold-out errors."""
-    from testbed.cli.hand_eye.files import run_compare
+    from testbed.cli.hand_eye_files import run_compare
 
     run_compare(source, json_file)
 
@@ -53,7 +52,7 @@ def intrinsics(
     json_file: JsonFile = None,
 ) -> None:
     """Camera matrix and distortion, errors by view, outlying views and empty parts of the picture."""
-    from testbed.cli.hand_eye.files import run_intrinsics_of_pictures
+    from testbed.cli.hand_eye_files import run_intrinsics_of_pictures
 
     run_intrinsics_of_pictures(pictures, board, detector, json_file)
 
@@ -77,7 +76,7 @@ def samples_of_pictures(
     ),
 ) -> None:
     """The samples that `solve` reads, from pictures of a board and the robot's poses."""
-    from testbed.cli.hand_eye.files import run_samples
+    from testbed.cli.hand_eye_files import run_samples
 
     run_samples((pictures, poses, camera), board, form, setup, to)
 
@@ -89,6 +88,6 @@ def drawing(
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The emulated cabinet's front as its maker would draw it: what the vision PC is given to find it by."""
-    from testbed.cli.hand_eye.files import run_drawing
+    from testbed.cli.hand_eye_files import run_drawing
 
     run_drawing(file, scenario, config_dir)

@@ -8,16 +8,16 @@ import numpy as np
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource
+from testbed.cli.options import PicturedBoard, PoseLines, SampleSource
 from testbed.hand_eye import picture_samples, presentation, trajectories
-from testbed.hand_eye.board_views import detect, intrinsics_row, intrinsics_table
 from testbed.hand_eye.importer import ImportOptions, load
+from testbed.hand_eye.picture_samples import detect, intrinsics_row, intrinsics_table
 from testbed.hand_eye.pose_text import read_robot_poses
 from testbed.hand_eye.presentation import hold_out, hold_out_table
 from testbed.hand_eye.trajectories import PairingOptions
 from testbed.pictures.board_question import question
 from testbed.reporting.console import out, write_json
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from vision_pc.config.choices import Detector, Method, Setup
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import bundle, judgement

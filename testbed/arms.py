@@ -1,21 +1,60 @@
-"""Whether an arm's four descriptions agree: drawing, machine, controller and scene; one finding a line."""
+"""Whether a directory describes an arm that can run, and a directory to begin one's own from."""
 
 import math
+import os
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from controller.core.kinematics.denavit_hartenberg import chain, dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from controller.core.kinematics.jacobian import geometric_jacobian
+from foundation.configuration import BASE_FILE
 from nominal_arm.description import JOINT_NAMES, CylinderDrive
 from nominal_arm.dimensions import boom_dimensions
 from plant_emulator.config.actuators import CylinderConfig
 from plant_emulator.core.camera.scene import R_TM_NOMINAL, R_WO_FACING_ARM
-from testbed.scenarios.settings import Settings
+from protocol.errors import ConfigurationError
+from testbed.scenarios.scenario import Settings
 from vision_pc.core.se3 import exp_so3
+
+_OF_ONE_ARM = {
+    "arm": ("name", "dh", "joints", "drives", "rated", "workspace"),
+    "plant": ("start_pose_deg", "geometry", "masses", "flexibility", "actuators"),
+    "scene": ("object_of_interest.position_m",),
+}
+_SAID = "# Copied from {like}, to be edited. What is left out here is as in the directory of base.yaml.\n"
+
+
+def begin_arm(directory: Path, like: Path, settings: Settings) -> list[Path]:
+    """Write an arm over ``like``, whose configuration is ``settings``, into ``directory``; the files.
+
+    Raises ConfigurationError when the directory is there and not empty.
+    """
+    if directory.is_dir() and any(directory.iterdir()):
+        raise ConfigurationError("configuration.not_empty", f"{directory} is there and holds files")
+    directory.mkdir(parents=True, exist_ok=True)
+    below = os.path.relpath(like.resolve(), directory.resolve())
+    written = [_write(directory / BASE_FILE, like, {"over": below})]
+    for stem, keys in _OF_ONE_ARM.items():
+        whole = getattr(settings, stem).model_dump(mode="json", exclude_none=True)
+        chosen: dict[str, Any] = {}
+        for key in keys:
+            first, _, second = key.partition(".")
+            chosen[first] = {second: whole[first][second]} if second else whole[first]
+        written.append(_write(directory / f"{stem}.yaml", like, chosen))
+    return written
+
+
+def _write(path: Path, like: Path, content: dict[str, Any]) -> Path:
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    path.write_text(_SAID.format(like=like) + text, encoding="utf-8")
+    return path
+
 
 _LENGTH_M = 0.02  # [D] of a tape measure along a boom; beyond it is another arm
 _ANGLE_DEG = 1.2  # [D] 20 mrad
