@@ -11,7 +11,6 @@ import typer
 from foundation.command_options import options_of, unfolded, with_signature
 from laboratory.campaigns.options import ShownExperiment, pinned
 from laboratory.experiments.catalogue import OURS, Entry, catalogue
-from testbed.cli.later import LaterGroup, dressed
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     DEFAULT_RUNS,
@@ -22,6 +21,7 @@ from testbed.cli.options import (
     Settings,
 )
 from testbed.cli.options import Seed as FirstSeed
+from testbed.cli.root import LaterGroup, dressed
 from testbed.reporting.console import out, words, writable, write_json
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]

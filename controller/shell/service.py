@@ -32,7 +32,7 @@ from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash
 from foundation.event_log import EventLog, Level
 from foundation.live.feed import LiveShow, open_show
-from foundation.live.metrics import Spread, exposition
+from foundation.live.wire import Spread, exposition
 from foundation.periods import DurationHistogram, Limit, Tally, percent_missed, take_fifo
 from foundation.recording.recovery import recording_directory
 from foundation.secret_source import read_key

@@ -10,8 +10,9 @@ import numpy as np
 
 from laboratory.soak.incidents import Journal
 from protocol.errors import LongreachError
-from testbed.realtime.rest_rig import JSON, RestRig, bearer
+from testbed.realtime.rest_rig import RestRig, bearer
 from testbed.reporting.console import Bar
+from vision_pc.application.results import JSON
 
 _LOOK: JSON = {"frames": 50}  # five seconds of looking at 10 pictures a second
 _STROKE_M = 0.15

@@ -10,7 +10,7 @@ from typing import Any
 
 from foundation.event_log import EventLog
 from foundation.live.feed import LiveShow, Opened, open_show
-from foundation.live.metrics import Spread, exposition
+from foundation.live.wire import Spread, exposition
 from foundation.periods import Limit, Tally, take_fifo
 from foundation.recording.decoding import session_entries
 from foundation.recording.messages import RecordingThread

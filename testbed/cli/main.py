@@ -234,7 +234,7 @@ def odometry(
     Beside the trajectory a CSV has a line a pair: map, loss and its cause, health, covariance. What comes
     after a gap that nothing bridges has a trajectory of its own.
     """
-    from testbed.cli.odometry import OdometryRequest, run_odometry
+    from testbed.cli.perception import OdometryRequest, run_odometry
 
     request = OdometryRequest(config_dir, left, right, calib, options, settings or [])
     raise typer.Exit(0 if run_odometry(request, json_file) else 1)
@@ -256,7 +256,7 @@ def markers(
     json_file: JsonFile = None,
 ) -> None:
     """Markers in pictures, without rig or controller; exit status 1 where one that is wanted is missing."""
-    from testbed.cli.markers import run_markers
+    from testbed.cli.perception import run_markers
 
     found = run_markers(pictures, right or [], dictionary, number or [], directory, json_file)
     raise typer.Exit(0 if found else 1)

@@ -19,8 +19,9 @@ from laboratory.campaigns.options import Assignments
 from laboratory.experiments.robustness.strangers import ATTACKS, Listeners
 from protocol.errors import LongreachError
 from testbed.realtime.launch import Launch, prepare, supervised
-from testbed.realtime.rest_rig import JSON, RestRig
+from testbed.realtime.rest_rig import RestRig
 from testbed.reporting.console import bars, table
+from vision_pc.application.results import JSON
 
 NONE = "none"
 STOP_P99_MS = 250.0  # over HTTP, connection included, on a machine that the attacker shares

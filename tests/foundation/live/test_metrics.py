@@ -6,7 +6,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
-from foundation.live.metrics import Figure, Spread, exposition
+from foundation.live.wire import Figure, Spread, exposition
 from foundation.periods import DurationHistogram
 from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
 from tests.support.grafana import dashboard, metrics
