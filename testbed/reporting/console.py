@@ -236,15 +236,6 @@ def long_command(words: Sequence[str]) -> str | None:
     return max(found, key=len, default=None)
 
 
-def table_rows() -> list[str]:
-    """The table of docs/commands.md, line by line: of the commands that keep something."""
-    return [
-        f"| `{name}` | {left.kept} | {left.again} | {left.status} |"
-        for name, left in LONG.items()
-        if not left.kept.startswith("nothing")
-    ]
-
-
 @contextmanager
 def nothing_half_made(target: Path) -> Iterator[None]:
     """Where Ctrl-C ends the block, a file or directory that it began is removed: it would be in the way."""

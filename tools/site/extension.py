@@ -85,10 +85,6 @@ def main(site: Path) -> int:
     return 1 if wrong else 0
 
 
-if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
-
-
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "python"
 PICTURES = ROOT / "docs" / "images" / "examples"
@@ -128,7 +124,7 @@ def python_interface() -> str:
 MADE: Mapping[str, Callable[[], str]] = MappingProxyType(
     {
         "configuration": configuration_keys.page,
-        "commands": configuration_keys.page,
+        "commands": configuration_keys.commands_page,
         "python": python_interface,
         "gallery": gallery,
     }
@@ -177,3 +173,7 @@ def _toctree(caption: str, pages: list[str]) -> str:
     head = f":caption: {caption.partition(':')[0]}\n" if caption else ""
     entries = "\n".join(f"/{page}" for page in pages)
     return f"```{{toctree}}\n:hidden:\n:maxdepth: 1\n{head}\n{entries}\n```\n\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

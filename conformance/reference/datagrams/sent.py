@@ -17,7 +17,6 @@ from protocol.datagram_layout import (
     FLAG_ECHO_VALID,
     HEADER_BYTES,
     PAYLOADS,
-    TAG_BYTES,
     TRAILER_BYTES,
     Kind,
     offsets,
@@ -180,9 +179,6 @@ def one_clock(peer: Peer) -> None:
 
 def _received(peer: Peer) -> list[Datagram]:
     return [decode(line.data) for line in peer.transcript if line.direction == "receive"]
-
-
-KEY_ID = slice(-TRAILER_BYTES + 4, -TAG_BYTES)
 
 
 @key_case(723, "11.7", "63 behind the newest number a late one is taken off the losses, 64 behind it is not")

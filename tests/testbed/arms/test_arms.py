@@ -14,7 +14,6 @@ from laboratory.campaigns.campaign import content_hash
 from protocol.errors import ConfigurationError
 from testbed.arms import check_arm
 from testbed.cli.main import app
-from testbed.pictures.machine import draw_machine
 from testbed.scenarios.arms import arm_directory, arm_names, arm_overrides
 from testbed.scenarios.scenario import load_scenario, load_settings
 from tests.support.paths import CONFIGS
@@ -91,11 +90,6 @@ def test_its_overrides_make_the_same_machine_as_its_directory(name: str) -> None
     assert by_overrides == load_settings(arm_directory(CONFIGS, name), {})
 
 
-def test_the_names_of_kept_campaigns_are_known() -> None:
-    assert arm_overrides(CONFIGS, "plant_long_crane") == arm_overrides(CONFIGS, "long_crane")
-    assert arm_overrides(CONFIGS, "plant") == {}
-
-
 # `arm check`
 
 
@@ -162,19 +156,6 @@ def test_an_arm_that_was_begun_is_the_one_it_was_begun_with(tmp_path: Path) -> N
     assert again.exit_code == 2
     (own / "plant.yaml").write_text("geometry: {telescope_m: 2.0}\n", encoding="utf-8")
     assert run("arm", "check", f"{own}/", "--config-dir", str(CONFIGS)).exit_code == 1
-
-
-def test_arms_are_listed_with_their_reach(tmp_path: Path) -> None:
-    told = tmp_path / "arms.json"
-    run("arm", "list", "--config-dir", str(CONFIGS), "--json", str(told))
-    reach = {row["arm"]: row["reach_m"] for row in json.loads(told.read_text())["arms"]}
-    assert reach["long_crane"] > reach["rock_breaker"] > reach["default"] > 4.0
-
-
-def test_the_picture_shows_the_reach(tmp_path: Path) -> None:
-    picture = tmp_path / "arm.svg"
-    draw_machine(load_settings(CRANE, {}), picture, reach=True)
-    assert "reach of the wrist" in picture.read_text(encoding="utf-8")
 
 
 def test_the_option_takes_the_place_of_the_directory(tmp_path: Path) -> None:

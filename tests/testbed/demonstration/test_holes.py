@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
-from testbed.cli.main import app
 from testbed.demonstration.sequence import (
     Clicked,
     Recorder,
@@ -139,8 +137,3 @@ def test_a_visits_note_is_that_of_its_last_drive() -> None:
     assert "inside with probability 0.97" in note_of(visited)
     assert "and so are the 95 % intervals" in note_of(visited)
     assert told_of(visited) is end
-
-
-def test_the_command_offers_the_target() -> None:
-    shown = CliRunner().invoke(app, ["demo", "--help"], terminal_width=200)
-    assert "--target" in shown.output

@@ -34,21 +34,6 @@ def calibrated() -> LockstepRig:
     return rig
 
 
-@pytest.mark.experiment
-@pytest.mark.timeout(600)
-def test_it_settles_under_2_mm_and_the_arm_rests_there(calibrated: LockstepRig) -> None:
-    rig = copy.deepcopy(calibrated)
-    before_mm = float(np.linalg.norm(true_error_mm(rig)))
-    result = operate(rig, "looking-and-moving", {})
-    assert before_mm > 300.0
-    assert np.abs(true_error_mm(rig)[:2]).max() < 2.0
-    assert rig.link.state.group_state is GroupState.STANDBY
-    assert result.approach.missed <= 3, (
-        "of some hundred pictures, as the eye model misses markers now and then"
-    )
-    assert result.look.verdict.inside
-
-
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("trouble", ["view_lost", "camera_frozen"])
 def test_without_fresh_sight_it_stops_on_its_way(calibrated: LockstepRig, trouble: str) -> None:
