@@ -81,17 +81,6 @@ def jog(page: Page) -> None:
     raise AssertionError("no jog was accepted")
 
 
-def test_the_row_back_to_the_first_pose_says_when_the_newest_move_was_a_jog(browser: Browser) -> None:
-    with console(browser) as (page, _, _url):
-        hold(page, "#enable")
-        is_state(page, "standby")
-        jog(page)
-        note(page, "home", "jog: done")
-        hold(page, "#start-home")
-        row = page.locator('#procedure li[data-kind="home"] .note')
-        expect(row).to_have_text(re.compile("^done"), timeout=WITHIN_MS)
-
-
 def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
     with console(browser) as (page, bench, url):
         bench.controller.speed = 0.0001  # 20 mm take minutes: nothing ends before it is stopped
@@ -349,8 +338,3 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
     assert second == first | {"other_u_px": second["other_u_px"], "other_v_px": second["other_v_px"]}
     assert third["u_px"] == 630.0
     assert keyed == third | {"other_u_px": 610.0, "other_v_px": 300.0}
-
-
-def test_the_pages_of_the_api_come_from_here(browser: Browser) -> None:
-    with served_bench() as (url, _), opened(browser, f"{url}/docs") as page:
-        expect(page.locator(".opblock").first).to_be_visible(timeout=WITHIN_MS)

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome, CaseRegister, Summary
+from conformance.case import CaseOutcome, Summary
 from conformance.command import app as suites
 from conformance.parts import OptionalPart, Profile, profile_from
 from conformance.peer import Peer
@@ -292,13 +292,6 @@ def test_who_lacks_optional_parts_fails_no_case(kind: type[ControllerUnderTest])
 
 
 @simulated
-def test_a_seed_may_be_small() -> None:
-    with ControllerUnderTest() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 230], seed=1)
-    assert outcomes(summary) == {CONTROL: PASS, 230: PASS}
-
-
-@simulated
 def test_what_is_not_claimed_is_not_asked() -> None:
     numbers = (CONTROL, PATH, STREAM, KEYLESS, MOVES)
     with ControllerUnderTest() as controller:
@@ -323,12 +316,6 @@ def test_a_profile_is_a_file_or_names_and_says_what_is_wrong(tmp_path: Path) -> 
         profile_from(str(file))
     with pytest.raises(ConfigurationError, match=r"absent\.yaml"):
         profile_from(str(tmp_path / "absent.yaml"))
-
-
-def test_a_case_needs_what_it_moves_and_what_it_says() -> None:
-    register = CaseRegister[None](OptionalPart.MOTION)
-    register.case(1, "1.1", "one", motion=True, needs=OptionalPart.PATHS)(lambda peer: None)
-    assert register.cases[0].needs == {OptionalPart.MOTION, OptionalPart.PATHS}
 
 
 # The first hour.

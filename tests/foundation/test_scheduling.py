@@ -32,10 +32,6 @@ def test_without_the_real_time_class_it_asks_for_short_slices_where_the_kernel_h
     assert obtained == ("short_slice" if known and release >= SHORT_SLICES_SINCE else "normal")
 
 
-def test_who_computes_asks_for_no_short_slices() -> None:
-    assert in_a_thread(lambda: take_policy("batch") and take_fifo(0))[0] == "normal"
-
-
 def test_a_thread_that_takes_idle_time_leaves_the_others_alone() -> None:
     before = os.sched_getscheduler(0)
     seen: list[tuple[str, int]] = []

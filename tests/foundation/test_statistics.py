@@ -98,11 +98,6 @@ def test_a_directory_that_cannot_be_written_is_refused_at_once(log: HeardLog, tm
     assert refused.value.cause == "configuration.statistics_unwritable"
 
 
-def test_without_a_path_nothing_is_gathered(log: HeardLog) -> None:
-    StatisticsFile(None, "controller", log, lambda: pytest.fail("gathered")).write()
-    log.close()
-
-
 def test_resident_memory_of_this_process_of_another_and_of_one_that_has_gone() -> None:
     assert resident_mb() > 10.0
     command = [sys.executable, "-c", "print(flush=True); input()"]

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 
 import longreach
 from foundation.configuration import laid_over, layers, parse_overrides
-from laboratory.campaigns.campaign import content_hash
 from protocol.errors import ConfigurationError
 from testbed.arms import check_arm
 from testbed.cli.main import app
@@ -52,14 +51,6 @@ def test_wrong_bases_are_refused(tmp_path: Path) -> None:
     assert refused.value.cause == "configuration.base_circle"
     with pytest.raises(ConfigurationError, match=r"no directory .*nowhere"):
         layers(written(tmp_path / "lost", base="over: ../nowhere\n"))
-
-
-def test_a_campaign_notices_a_change_below_its_directory(tmp_path: Path) -> None:
-    low = written(tmp_path / "low", plant="a: 1\n")
-    top = written(tmp_path / "top", base="over: ../low\n")
-    before = content_hash(top)
-    (low / "plant.yaml").write_text("a: 2\n", encoding="utf-8")
-    assert content_hash(top) != before
 
 
 def test_a_scenario_is_laid_over_its_namesake() -> None:

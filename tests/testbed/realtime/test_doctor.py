@@ -58,10 +58,6 @@ def test_a_package_of_another_version_is_named(tmp_path: Path) -> None:
     assert "no-such-package missing" in check.found
 
 
-def test_a_missing_lock_is_a_warning(tmp_path: Path) -> None:
-    assert doctor.versions_check(tmp_path / "requirements.lock").verdict == "warning"
-
-
 def test_a_taken_port_is_named_with_its_kind() -> None:
     for kind, word in ((socket.SOCK_STREAM, "tcp"), (socket.SOCK_DGRAM, "udp")):
         with socket.socket(socket.AF_INET, kind) as holder:

@@ -109,14 +109,6 @@ def test_a_killed_service_is_told_with_its_signal_and_its_last_error(tmp_path: P
             supervisor.check()
 
 
-def test_the_last_complaint_of_a_killed_service_is_not_told_as_the_reason(tmp_path: Path) -> None:
-    with supervised([service("complains")], tmp_path) as supervisor:
-        told_until(supervisor, "oil", 10.0)
-        supervisor.children["service"].kill()
-        with pytest.raises(ServiceFailed, match=r"SIGKILL; its last complaint was oil.low: the tank"):
-            supervisor.check()
-
-
 def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str]:
     told: list[str] = []
     until_s = time.monotonic() + within_s
@@ -150,12 +142,6 @@ def test_a_service_that_another_ends_is_started_anew_alone(tmp_path: Path) -> No
         assert anew.pid != second
         assert anew.arguments == ("lives", "--record-dir", "out.2")
         assert (tmp_path / "second.2.log").exists()
-
-
-def test_errors_are_told_while_a_service_runs(tmp_path: Path) -> None:
-    with supervised([service("complains")], tmp_path) as supervisor:
-        told = told_until(supervisor, "oil", 10.0)
-    assert told == ["service: oil.low: the tank is half empty"]
 
 
 def test_a_full_disk_loses_lines_and_not_the_service(tmp_path: Path) -> None:
