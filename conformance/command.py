@@ -157,7 +157,7 @@ def reference(
         print_cases(chosen(reference_cases(), None, steps))
         return
     known_host(host)
-    wanted = _wanted(asking.case, reference_cases())
+    wanted = _case_numbers(asking.case, reference_cases())
     link_key = None if key is None else key_from_file(key)
     manner = asking.manner()
 
@@ -189,7 +189,7 @@ def coupler(
         print_cases(chosen(coupler_cases(), None, steps))
         return
     known_host(host)
-    wanted = _wanted(asking.case, coupler_cases())
+    wanted = _case_numbers(asking.case, coupler_cases())
     manner = asking.manner()
 
     def run(show: Callable[[Result], None]) -> Summary:
@@ -200,7 +200,7 @@ def coupler(
     _finish(len(chosen(coupler_cases(), wanted, steps)), run, asking, steps)
 
 
-def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
+def _case_numbers(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
     numbers = {case.number for case in cases}
     wanted = set(chosen) if chosen else numbers
     if wanted - numbers:

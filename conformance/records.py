@@ -258,7 +258,7 @@ def transcript(result: Result, suite: str, newest: int | None = None) -> str:
     if newest is not None and len(lines) > newest:
         head.append(f"… {len(lines) - newest} before these …")
         lines = lines[-newest:]
-    return "\n".join(head + [_shown(line, says(line.data)) for line in lines]) + "\n"
+    return "\n".join(head + [_hex_lines(line, says(line.data)) for line in lines]) + "\n"
 
 
 def _datagram(data: bytes) -> str:
@@ -288,7 +288,7 @@ def _modbus(data: bytes) -> str:
     return f"transaction {int.from_bytes(data[:2], 'big')} unit {data[6]} {what}"
 
 
-def _shown(line: Line, what: str) -> str:
+def _hex_lines(line: Line, what: str) -> str:
     arrow = "→" if line.direction == "send" else "←"
     rows = [line.data[i : i + _BYTES_A_LINE].hex() for i in range(0, len(line.data), _BYTES_A_LINE)]
     return "\n    ".join([f"{line.at_ms:9.2f} ms {arrow} {len(line.data)} bytes, {what}", *rows])

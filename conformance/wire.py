@@ -272,11 +272,11 @@ class Wire:
             wake_ns = min(left_ns, self._heartbeat_ns - self.now_ns) if beating and self.session else left_ns
             ready, _, _ = select.select([self._socket], [], [], max(wake_ns, 0) / 1e9)
             if ready:
-                return self._read()
+                return self._read_datagram()
             if self.now_ns >= until_ns:
                 return None
 
-    def _read(self) -> Datagram | None:
+    def _read_datagram(self) -> Datagram | None:
         try:
             data = self._socket.recv(65_535)
         except ConnectionRefusedError as error:

@@ -193,9 +193,9 @@ class PeriodicTimer:
     def __init__(self, first_ns: int, period_ns: int, on_ready: Callable[[], None]) -> None:
         self.deadline_ns = first_ns - period_ns
         self._period_ns = period_ns
-        self._fd = _checked(_LIBC.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC))
+        self._fd = _check_result(_LIBC.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC))
         setting = (ctypes.c_long * 4)(*divmod(period_ns, _NS_PER_S), *divmod(first_ns, _NS_PER_S))
-        _checked(_LIBC.timerfd_settime(self._fd, _TFD_TIMER_ABSTIME, setting, None))
+        _check_result(_LIBC.timerfd_settime(self._fd, _TFD_TIMER_ABSTIME, setting, None))
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._fd, on_ready)
 
@@ -216,7 +216,7 @@ class PeriodicTimer:
             self._fd = -1
 
 
-def _checked(result: int) -> int:
+def _check_result(result: int) -> int:
     if result < 0:
         error = ctypes.get_errno()
         raise OSError(error, os.strerror(error))

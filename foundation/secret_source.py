@@ -21,17 +21,17 @@ def bound_tcp(host: str, port: int, key: str) -> socket.socket:
 
     Raises ConfigurationError when the port is busy, or the address is not ours.
     """
-    return _bound(socket.SOCK_STREAM, host, port, key)
+    return _bind_socket(socket.SOCK_STREAM, host, port, key)
 
 
 def bound_udp(host: str, port: int, key: str) -> socket.socket:
     """A UDP socket that does not block, bound to an address. Raises ConfigurationError as ``bound_tcp``."""
-    sock = _bound(socket.SOCK_DGRAM, host, port, key)
+    sock = _bind_socket(socket.SOCK_DGRAM, host, port, key)
     sock.setblocking(False)
     return sock
 
 
-def _bound(kind: socket.SocketKind, host: str, port: int, key: str) -> socket.socket:
+def _bind_socket(kind: socket.SocketKind, host: str, port: int, key: str) -> socket.socket:
     sock = socket.socket(socket.AF_INET, kind)
     try:
         if kind is socket.SOCK_STREAM:  # what is left of closed connections holds a port for a minute

@@ -143,7 +143,7 @@ def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
     try:
         options = _options(program, argv)
         with process_log(program.name) as log, asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(_served(program.make(options, log)))
+            return runner.run(_serve(program.make(options, log)))
     except LongreachError as error:
         print(f"{program.name}: {error.cause}: {error}", file=sys.stderr)
         return _REFUSED
@@ -163,7 +163,7 @@ def _return_large_blocks() -> None:
         mallopt(_M_ARENA_MAX, _HEAPS)
 
 
-async def _served(service: RunnableService) -> int:
+async def _serve(service: RunnableService) -> int:
     async with signs_of_life():
         return await service.run()
 

@@ -90,7 +90,7 @@ def check_arm(settings: Settings) -> list[ArmFinding]:
     ]
 
 
-def _compared(name: str, drawn: float, built: float, unit: str, most: float, where: str) -> ArmFinding:
+def _compare(name: str, drawn: float, built: float, unit: str, most: float, where: str) -> ArmFinding:
     found = f"drawn {drawn:.4g}{unit}, built {built:.4g}{unit}"
     if abs(drawn - built) <= most:
         return ArmFinding(name, "ok", found)
@@ -114,12 +114,12 @@ def _lengths(settings: Settings) -> Iterator[ArmFinding]:
         ("tool", boom.wrist_to_tool, true.tool_length_m, "−arm.dh.5.d_m, plant.geometry.tool_length_m"),
     )
     for name, drawn, built, where in rows:
-        yield _compared(name, drawn, built, " m", _LENGTH_M, where)
+        yield _compare(name, drawn, built, " m", _LENGTH_M, where)
     bent = math.degrees(math.atan2(true.tilt_pivot_m[1], true.tilt_pivot_m[0]))
     for row, built in ((1, bent), (2, 90.0 - bent)):
         where = f"arm.dh.{row}.theta_offset_deg, plant.geometry.tilt_pivot_m"
         drawn = dh[row].theta_offset_deg
-        yield _compared(f"zero of {dh[row].name}", drawn, built, "°", _ANGLE_DEG, where)
+        yield _compare(f"zero of {dh[row].name}", drawn, built, "°", _ANGLE_DEG, where)
 
 
 def _linkages(settings: Settings) -> Iterator[ArmFinding]:
@@ -132,12 +132,12 @@ def _linkages(settings: Settings) -> Iterator[ArmFinding]:
             yield ArmFinding(f"{name}'s drive", "failed", f"drawn {drawn}, built {built}", advice)
         elif isinstance(drive, CylinderDrive):
             where = f"arm.drives of {name}, plant.actuators.{name}.cylinder"
-            yield _compared(f"{name}'s long side", drive.long_m, true.base_m, " m", _LENGTH_M, where)
-            yield _compared(f"{name}'s short side", drive.short_m, true.lever_m, " m", _LENGTH_M, where)
+            yield _compare(f"{name}'s long side", drive.long_m, true.base_m, " m", _LENGTH_M, where)
+            yield _compare(f"{name}'s short side", drive.short_m, true.lever_m, " m", _LENGTH_M, where)
             offsets = math.degrees(drive.angle_offset_rad), -math.degrees(true.angle_rad)
-            yield _compared(f"{name}'s angle offset", *offsets, "°", _ANGLE_DEG, where)
+            yield _compare(f"{name}'s angle offset", *offsets, "°", _ANGLE_DEG, where)
             built_ratio = 1.0 - (true.rod_mm / true.bore_mm) ** 2
-            yield _compared(f"{name}'s area ratio", drive.area_ratio, built_ratio, "", 0.05, where)
+            yield _compare(f"{name}'s area ratio", drive.area_ratio, built_ratio, "", 0.05, where)
 
 
 def _speeds(settings: Settings) -> Iterator[ArmFinding]:
@@ -160,7 +160,7 @@ def _speeds(settings: Settings) -> Iterator[ArmFinding]:
             pairs = (("turn", drive.speed_rad_s, speed, " rad/s"),)
         for way, drawn, built, unit in pairs:
             where = f"arm.drives of {name}, plant.actuators.{name}.rated_flow_l_min"
-            yield _compared(f"{name}, full spool, {way}", drawn, built, unit, _SPEED * built, where)
+            yield _compare(f"{name}, full spool, {way}", drawn, built, unit, _SPEED * built, where)
 
 
 def _cylinder_speeds(

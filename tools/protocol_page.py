@@ -102,7 +102,7 @@ def datagram_table(fields: tuple[Field, ...]) -> str:
 
     rows = (
         (
-            offset, field.name, _counted(IEC[field.code], field), f"{span(field)} {field.unit}".strip(),
+            offset, field.name, _count_note(IEC[field.code], field), f"{span(field)} {field.unit}".strip(),
             field.meaning,
         )
         for field, offset in zip(fields, offsets(fields), strict=True)
@@ -110,7 +110,7 @@ def datagram_table(fields: tuple[Field, ...]) -> str:
     return table("offset | field | type | range, unit | meaning", rows)
 
 
-def _counted(kind: str, field: Field) -> str:
+def _count_note(kind: str, field: Field) -> str:
     count = field.size if field.code.endswith("s") else field.count
     return f"{kind}[{count}]" if count > 1 else kind
 

@@ -36,7 +36,7 @@ async def _own(
         await face.fed(reader, writer)
 
 
-async def _shared(name: str, port: int, origins: Sequence[str], log: EventLog) -> None:
+async def _serve_shared(name: str, port: int, origins: Sequence[str], log: EventLog) -> None:
     settings = LiveSettings(port=port, allowed_origins=tuple(origins))
     stop = asyncio.Event()
     when_asked_to_end(stop.set)
@@ -79,7 +79,7 @@ def main() -> int:
         try:
             if arguments.whose == "shared":
                 name, port, *origins = arguments.sockets
-                asyncio.run(_shared(name, int(port), origins, log))
+                asyncio.run(_serve_shared(name, int(port), origins, log))
                 return 0
             # A signal to the whole process group reaches the service too, which then closes its end.
             for number in (signal.SIGINT, signal.SIGTERM):

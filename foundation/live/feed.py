@@ -158,9 +158,9 @@ class LiveFeed:
             for topic in sorted((self._wanted - before) & self._once.keys()):
                 self._send(link, topic, self._once[topic])
         else:
-            link.sendall(wire.frame(wire.FIGURES, self._told().encode()))
+            link.sendall(wire.frame(wire.FIGURES, self._figures_text().encode()))
 
-    def _told(self) -> str:
+    def _figures_text(self) -> str:
         for _ in range(3):
             try:
                 return self._figures()

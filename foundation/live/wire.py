@@ -57,7 +57,7 @@ def exposition(
     """
     registry = CollectorRegistry()
     prefix = f"longreach_{service}"
-    registry.register(_Collected([*_told(prefix, table, figures), *_spread(prefix, spreads)]))
+    registry.register(_Collected([*_metrics_of(prefix, table, figures), *_spread(prefix, spreads)]))
     return generate_latest(registry).decode()
 
 
@@ -78,7 +78,7 @@ class _Collected:
         return self._families
 
 
-def _told(prefix: str, table: Sequence[Figure], figures: Mapping[str, Any]) -> Iterator[Metric]:
+def _metrics_of(prefix: str, table: Sequence[Figure], figures: Mapping[str, Any]) -> Iterator[Metric]:
     for figure in table:
         value = value_at(figures, figure.path)
         kind = CounterMetricFamily if figure.name.endswith("_total") else GaugeMetricFamily

@@ -157,7 +157,7 @@ def walk(stream: BinaryIO) -> Iterator[Any]:
         if len(content) < length:
             yield Damage(offset, f"cut off: {len(content)} of {length} bytes of a record")
             return
-        yield from _found(opcode, content, offset)
+        yield from _records_in(opcode, content, offset)
         if opcode == Opcode.FOOTER:
             if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 yield Damage(stream.tell(), "cut off within the last bytes")
@@ -182,10 +182,10 @@ def messages(
                 damages.append(record)
 
 
-def _found(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
+def _records_in(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
     try:
         if opcode == Opcode.CHUNK:
-            yield from _in_chunk(_unpacked(Chunk.read(ReadDataStream(BytesIO(content)))))
+            yield from _in_chunk(_unpack(Chunk.read(ReadDataStream(BytesIO(content)))))
         elif opcode == Opcode.MESSAGE:
             yield Message.read(ReadDataStream(BytesIO(content)), len(content))
         elif opcode in _READERS:
@@ -195,7 +195,7 @@ def _found(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
         yield Damage(offset, f"damaged {kind}: {error or type(error).__name__}")
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpack(chunk: Chunk) -> bytes:
     """What a chunk holds. Raises ValueError when it is not what was written."""
     if chunk.uncompressed_size > _CHUNK_MAX:
         raise ValueError(f"{chunk.uncompressed_size} bytes unpacked, {_CHUNK_MAX} at most")

@@ -100,7 +100,7 @@ class PageFiles:
     """
 
     def __init__(self, folder: Traversable, at: str, index: str) -> None:
-        self._files = dict(_found(folder, at))
+        self._files = dict(_files_below(folder, at))
         self._files[index] = self._files.pop(f"{at}/index.html")
         self._served: dict[str, _Served] = {}
 
@@ -120,7 +120,7 @@ class PageFiles:
         """
         served = self._served.get(path)
         if served is None:  # in a thread: this loop may have a stop to serve
-            served = self._served[path] = await asyncio.to_thread(_read, self._files[path])
+            served = self._served[path] = await asyncio.to_thread(_load, self._files[path])
         media_type = _MEDIA_TYPES["." + self._files[path].name.rpartition(".")[2]]
         told = {"ETag": served.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
         told["Content-Security-Policy"] = policy
@@ -145,17 +145,17 @@ def add_files(app: FastAPI, files: PageFiles, asks: str = "") -> None:
         app.add_api_route(path, file, include_in_schema=False)
 
 
-def _found(folder: Traversable, at: str) -> list[tuple[str, Traversable]]:
+def _files_below(folder: Traversable, at: str) -> list[tuple[str, Traversable]]:
     found = []
     for entry in folder.iterdir():
         if entry.is_dir() and entry.name == "vendor":
-            found += _found(entry, f"{at}/vendor")
+            found += _files_below(entry, f"{at}/vendor")
         elif entry.is_file() and "." + entry.name.rpartition(".")[2] in _MEDIA_TYPES:
             found.append((f"{at}/{entry.name}", entry))
     return found
 
 
-def _read(file: Traversable) -> _Served:
+def _load(file: Traversable) -> _Served:
     body = file.read_bytes()
     return _Served(body, gzip.compress(body, mtime=0), f'"{hashlib.sha256(body).hexdigest()[:32]}"')
 

@@ -70,7 +70,7 @@ class TokenCheck:
         return self._role_of(given[0]) if len(given) == 1 else None
 
     def _role_of(self, authorization: str) -> Role | None:
-        presented = _presented(authorization)
+        presented = _presented_token(authorization)
         # Every token is compared, each in constant time: how long it takes tells nothing of them.
         matching = [role for role, token in self._tokens.items() if hmac.compare_digest(token, presented)]
         return matching[0] if matching else None
@@ -106,7 +106,7 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _presented(authorization: str) -> bytes:
+def _presented_token(authorization: str) -> bytes:
     """The token of a Bearer header, or the password of a Basic one, as browsers send; empty: none."""
     scheme, _, credentials = authorization.partition(" ")
     try:

@@ -74,7 +74,7 @@ def written_down(shown: ShownExperiment) -> dict[str, Any]:
         "seed": shown.seed,
         "workers": shown.workers,
         "directory": str(shown.directory),
-        "options": [_told(parameter) for parameter in shown.parameters],
+        "options": [_option_record(parameter) for parameter in shown.parameters],
     }
 
 
@@ -86,7 +86,7 @@ def _table() -> dict[str, Any]:
     return table
 
 
-def _told(parameter: inspect.Parameter) -> dict[str, Any]:
+def _option_record(parameter: inspect.Parameter) -> dict[str, Any]:
     kind, info = get_args(parameter.annotation)
     optional = get_origin(kind) in (Union, UnionType)
     if optional:

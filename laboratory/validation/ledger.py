@@ -262,12 +262,12 @@ class Ledger:
         """Advance the stand by ``seconds`` and balance the books of that time; NaN wherever a state is."""
         stand = self._stand
         total, seen = np.zeros(N_INTEGRALS), np.array([np.inf, 0.0, 0.0])
-        energy, mass = self._stored()
+        energy, mass = self._stored_energy_and_mass()
         booked_steps(
             stand.state, self._drive, stand.command, round(seconds / step), step,
             stand.model, stand.work, self._oil, self._rates, total, seen,
         )  # fmt: skip
-        energy_after, mass_after = self._stored()
+        energy_after, mass_after = self._stored_energy_and_mass()
         given, returned, throttled, seals, hinges, advected = (float(value) for value in total[:MASSES])
         dissipated = throttled + seals + hinges
         return Balance(
@@ -280,7 +280,7 @@ class Ledger:
             stop_met=bool(seen[DEEPEST] > 0.0),
         )
 
-    def _stored(self) -> tuple[float, Array]:
+    def _stored_energy_and_mass(self) -> tuple[float, Array]:
         """Energy in motion, height, bending and compression, and the oil mass (12,) of each chamber."""
         stand, oil = self._stand, self._oil
         stand.rates()

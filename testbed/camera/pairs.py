@@ -96,12 +96,12 @@ def _film(path: Path, most: int) -> list[StereoPair]:
     try:
         if not film.isOpened():
             raise ConfigurationError("configuration.bad_recording", f"{path}: no film that can be decoded")
-        return _spread(list(_decoded(film, str(path))), most)
+        return _spread(list(_decode_film(film, str(path))), most)
     finally:
         film.release()
 
 
-def _decoded(film: cv2.VideoCapture, path: str) -> Iterator[StereoPair]:
+def _decode_film(film: cv2.VideoCapture, path: str) -> Iterator[StereoPair]:
     number = 0
     while True:
         taken, picture = film.read()

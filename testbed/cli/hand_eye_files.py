@@ -67,7 +67,7 @@ def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: P
         out.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
     figures = presentation.result_figures(result)
     if pairs.corners is not None:
-        figures["image_space"], doubts = _adjusted(pairs, result, as_given)
+        figures["image_space"], doubts = _adjust_in_image_space(pairs, result, as_given)
         found = found.with_doubts(doubts)
     for line, style in presentation.judgement_lines(found):
         out.print(line, style=style, highlight=False, soft_wrap=True)
@@ -76,7 +76,7 @@ def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: P
     return as_given or found.verdict == "good"
 
 
-def _adjusted(
+def _adjust_in_image_space(
     pairs: PosePairs, result: HandEyeResult, as_given: bool
 ) -> tuple[dict[str, object], list[judgement.Doubt]]:
     """What image-space adjustment finds, and what of that is doubtful."""

@@ -63,7 +63,7 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
         result = follow(known, config, report)
         spent_ms = 1e3 * (time.process_time() - began) / len(result.records)
     tool_at.require()
-    files = _written(request.options.trajectory, result)
+    files = _write_trajectories(request.options.trajectory, result)
     _print(result, spent_ms, files)
     figures = _figures(result) | {
         "milliseconds_a_pair": spent_ms,
@@ -127,7 +127,7 @@ class ToolPoses:
             raise ConfigurationError("configuration.bad_trajectory", why)
 
 
-def _written(trajectory: Path, result: SequenceResult) -> list[Path]:
+def _write_trajectories(trajectory: Path, result: SequenceResult) -> list[Path]:
     """The files of all trajectories: that of the first map, then one for each that is apart."""
     write_side_file(trajectory.with_suffix(".csv"), result)
     files = [trajectory] + [
@@ -199,8 +199,8 @@ def run_markers(
     figures: list[dict[str, object]] = []
     complete = True
     for k, path in enumerate(pictures):
-        found = _seen(path, dictionary, wanted, directory)
-        other = _seen(right[k], dictionary, wanted, directory) if right else []
+        found = _detect_in_picture(path, dictionary, wanted, directory)
+        other = _detect_in_picture(right[k], dictionary, wanted, directory) if right else []
         missing = sorted(wanted - {marker.number for marker in found})
         complete &= bool(found) and not missing
         rows += [_row(path, marker, other) for marker in found]
@@ -215,7 +215,9 @@ def run_markers(
     return complete
 
 
-def _seen(path: Path, dictionary: str, wanted: frozenset[int], directory: Path | None) -> list[PictureMarker]:
+def _detect_in_picture(
+    path: Path, dictionary: str, wanted: frozenset[int], directory: Path | None
+) -> list[PictureMarker]:
     """The markers of the picture at ``path``, also drawn into ``directory``."""
     image = read_grey(path)
     found = found_markers(image, dictionary, wanted)

@@ -94,11 +94,11 @@ def dressed(command: Any) -> Any:
     if not hasattr(command, "commands"):
         command.params += [option for option in _told_options() if option.name not in own]
     if not isinstance(command.parse_args, partial):
-        command.parse_args = partial(_parsed, command.parse_args)
+        command.parse_args = partial(_parse, command.parse_args)
     return command
 
 
-def _parsed(parse: Any, ctx: Any, arguments: list[str]) -> Any:
+def _parse(parse: Any, ctx: Any, arguments: list[str]) -> Any:
     try:
         return parse(ctx, arguments)
     except TyperException as refused:
@@ -107,7 +107,7 @@ def _parsed(parse: Any, ctx: Any, arguments: list[str]) -> Any:
         raise
 
 
-def _chosen(ctx: typer.Context, arm: str | None) -> None:
+def _choose_arm(ctx: typer.Context, arm: str | None) -> None:
     if arm is not None:
         from testbed.scenarios.arms import arm_directory
 
@@ -157,7 +157,7 @@ def _arm_option() -> Any:
                 "--arm",
                 metavar="NAME|DIR",
                 help="Of CONFIG_DIR/arms, see `longreach arm list`, or a directory with base.yaml.",
-                callback=_chosen,
+                callback=_choose_arm,
                 expose_value=False,
             ),
         ] = None,

@@ -107,11 +107,11 @@ def findings_tables(found: Mapping[int, JointFindings], seen: TrialsTold | None 
 def _edge_cells(sense: str, edge: EdgeFindings) -> tuple[str, ...]:
     return (
         f"{sense}, by its outlet" if edge.by_outlet else sense,
-        _told(edge.deadband, 100.0, 3),
-        _told(edge.hysteresis, 100.0, 2),
-        _told(edge.lag, 1e3, 0),
-        _told(edge.response, 1e3, 0),
-        _told(edge.gain, 1.0, 3),
+        _number_text(edge.deadband, 100.0, 3),
+        _number_text(edge.hysteresis, 100.0, 2),
+        _number_text(edge.lag, 1e3, 0),
+        _number_text(edge.response, 1e3, 0),
+        _number_text(edge.gain, 1.0, 3),
         f"{edge.curvature:+.2f}",
         f"{1e3 * edge.residual:.3f}",
     )
@@ -119,8 +119,8 @@ def _edge_cells(sense: str, edge: EdgeFindings) -> tuple[str, ...]:
 
 def _joint_cells(one: JointFindings, told: ToldNumber | None) -> tuple[str, ...]:
     return (
-        _told(one.friction.friction, 1.0, 1),
-        _told(one.friction.load, 1.0, 1),
+        _number_text(one.friction.friction, 1.0, 1),
+        _number_text(one.friction.load, 1.0, 1),
         _play_told(one, told),
         f"{1e3 * one.travel:.0f}",
         f"{one.seconds:.0f}",
@@ -129,12 +129,16 @@ def _joint_cells(one: JointFindings, told: ToldNumber | None) -> tuple[str, ...]
 
 def _play_told(one: JointFindings, by_vision: ToldNumber | None) -> str:
     if one.play is None:
-        return one.unseen if by_vision is None else _told(Uncertain(by_vision.value, by_vision.std), 1.0, 3)
-    told = _told(Uncertain(one.play.half, one.play.half_std), 1e3, 3)
+        return (
+            one.unseen
+            if by_vision is None
+            else _number_text(Uncertain(by_vision.value, by_vision.std), 1.0, 3)
+        )
+    told = _number_text(Uncertain(one.play.half, one.play.half_std), 1e3, 3)
     return told if one.resolved else f"{told} (not to 20 %)"
 
 
-def _told(number: Uncertain, unit: float, digits: int) -> str:
+def _number_text(number: Uncertain, unit: float, digits: int) -> str:
     return f"{unit * number.value:.{digits}f} ± {unit * number.std:.{digits}f}"
 
 
@@ -211,7 +215,7 @@ def run_commission(request: CommissionRequest) -> bool:
     told = f"{len(joints) - len(to_do)} joints are in {request.directory}, {len(to_do)} are tried out now"
     out.print(told, style="dim", highlight=False)
     complete = _tried_out(settings, request, to_do, session) if to_do else True
-    found = _found(session, settings)
+    found = _findings_of(session, settings)
     if found:
         out.print(*findings_tables(found, session.seen), sep="\n")
     write_json(request.json, {"joints": findings_figures(found), "complete": complete})
@@ -233,7 +237,7 @@ def _tried_out(
 ) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told and noted, the arm then stands."""
     try:
-        ended = _excited(settings, request, joints, session)
+        ended = _excite(settings, request, joints, session)
     except (MeasurementFailed, LinkLost) as error:
         return _broken_off(session, error.cause, f"{error.cause}: {error}")
     minutes = ended.seconds / 60.0
@@ -244,7 +248,7 @@ def _tried_out(
     return True
 
 
-def _excited(
+def _excite(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: CommissioningSession
 ) -> Excited:
     with (
@@ -270,7 +274,7 @@ def _broken_off(session: CommissioningSession, cause: str, told: str) -> bool:
     return False
 
 
-def _found(session: CommissioningSession, settings: Settings) -> dict[int, JointFindings]:
+def _findings_of(session: CommissioningSession, settings: Settings) -> dict[int, JointFindings]:
     """What the session's recordings say; a joint whose numbers are refused is told, and left out."""
     compensated = settings.controller.valves.pressure_compensated
     found = {}

@@ -60,12 +60,12 @@ def _half(stroke: StrokeRecord, way: float, compliance: float) -> Half:
     index, top = np.arange(len(flow)), float(flow.max())
     mine = (index < stroke.top) if way > 0.0 else (index > stroke.top)
     flows = (flow > SLOW * top) & (flow < _FAST * top) & _moves(stroke)
-    runs = _runs(mine & flows & _settled(stroke) & (stroke.fed_bar > FED_BAR))
+    runs = _runs(mine & flows & _is_settled(stroke) & (stroke.fed_bar > FED_BAR))
     longest = max((_seconds(stroke, rows) for rows in runs), default=0.0)
     return Half(stroke, [rows for rows in runs if _seconds(stroke, rows) >= _LEAST_S], way, longest)
 
 
-def _settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
+def _is_settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
     """Whether the command has gone at the ramp's rate for as long as a spool takes to follow it (n,)."""
     quick = np.abs(np.gradient(stroke.u, stroke.t)) >= 1.5 * rate_of(stroke)  # a start, the turn at the top
     since = np.where(quick, stroke.t, stroke.t[0])

@@ -52,31 +52,31 @@ def excite_in_lockstep(
     if not world.connected:
         raise LinkLost("link.controller_missing", "the controller does not answer")
     if eyes is None:
-        return _excited(world, keep, progress, tuple)
-    return run(_watched(world, keep, progress, eyes))
+        return _excite(world, keep, progress, tuple)
+    return run(_excite_watched(world, keep, progress, eyes))
 
 
-async def _watched(
+async def _excite_watched(
     world: World, keep: Callable[[JointRecording], None], progress: Callable[[float, str], None], eyes: Eyes
 ) -> Excited:
-    """As ``_excited``; odometry that saw nothing at all does not spoil what the valves said."""
+    """As ``_excite``; odometry that saw nothing at all does not spoil what the valves said."""
     done: Excited | None = None
     try:
         async with eyes.watch(markers=False, odometry=True) as watch:
             offset_ns = world.link.local_time_ns(0)
-            done = _excited(world, keep, progress, lambda: _seen(watch.samples, offset_ns))
+            done = _excite(world, keep, progress, lambda: _odometry_poses(watch.samples, offset_ns))
     except MeasurementFailed:
         if done is None:
             raise
     return done
 
 
-def _seen(samples: Sequence[WatchSample], offset_ns: int) -> list[SeenPose]:
+def _odometry_poses(samples: Sequence[WatchSample], offset_ns: int) -> list[SeenPose]:
     """The poses that odometry found, on the controller's clock."""
     return [SeenPose(s.time_ns - offset_ns, s.X_C0C) for s in samples if s.X_C0C is not None]
 
 
-def _excited(
+def _excite(
     world: World,
     keep: Callable[[JointRecording], None],
     progress: Callable[[float, str], None],

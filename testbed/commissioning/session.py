@@ -40,7 +40,7 @@ def trials_told(path: Path) -> TrialsTold:
     Raises ConfigurationError: ``commissioning.no_trials`` for one that failed, ``commissioning.bad_session``,
     ``configuration.…`` for anything else.
     """
-    found = _read(path)
+    found = _read_json(path)
     if found is None:
         raise ConfigurationError("commissioning.bad_session", f"{path}: no such file")
     problem = found.get("problem") or found
@@ -60,7 +60,7 @@ class CommissioningSession:
     def __init__(self, directory: Path, arm: NominalArm, config: ControllerConfig) -> None:
         self.directory = directory
         basis = basis_of(arm, config).model_dump()
-        self._state = _read(directory / "session.json") or {"basis": basis, "ended_by": None}
+        self._state = _read_json(directory / "session.json") or {"basis": basis, "ended_by": None}
         if self._state.get("basis") != basis:
             raise ConfigurationError(
                 "commissioning.other_session",
@@ -119,7 +119,7 @@ class CommissioningSession:
             raise ConfigurationError("output.unwritable", f"{self.directory}: {error.strerror}") from error
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read_json(path: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:

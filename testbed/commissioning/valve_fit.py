@@ -69,7 +69,7 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
     if ahead > _MOSTLY:
         return _by_outlet(mine)
     try:
-        return _found(mine)
+        return _edge_findings(mine)
     except MeasurementFailed:
         if ahead < _PARTLY:
             raise
@@ -93,11 +93,11 @@ def _by_outlet(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     """The findings by the outlet edge; gain and flow over the inlet's nominal speed, as the others'."""
 
     def left(laminar_bar: float) -> float:
-        return _found([_emptying(stroke, laminar_bar) for stroke in strokes]).residual
+        return _edge_findings([_emptying(stroke, laminar_bar) for stroke in strokes]).residual
 
     best = minimize_scalar(left, bounds=(0.0, _LAMINAR_BAR), method="bounded", options={"xatol": 0.2})
     emptied = [_emptying(stroke, float(best.x)) for stroke in strokes]
-    told = _found(emptied)
+    told = _edge_findings(emptied)
     shares = [np.median(stroke.e / was.e) for stroke, was in zip(emptied, strokes, strict=True)]
     share = float(np.mean(shares))
     return told._replace(
@@ -117,7 +117,7 @@ def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
     )
 
 
-def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
+def _edge_findings(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     triangles = _full_triangles(strokes)
     stepped = [stroke for stroke in strokes if stroke.kind is StrokeKind.STEP]
     steps = [fit_step(stroke) for stroke in stepped]

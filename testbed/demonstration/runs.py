@@ -81,11 +81,11 @@ def run_demo(
             show_live(launch)
             driven = drive(launch, choice, shown, supervisor)
             if hold:
-                _held(launch, supervisor)
-        return _presented(launch, choice, driven, time.monotonic() - began, json_file)
+                _wait_for_ctrl_c(launch, supervisor)
+        return _present(launch, choice, driven, time.monotonic() - began, json_file)
 
 
-def _held(launch: Launch, supervisor: Supervisor) -> None:
+def _wait_for_ctrl_c(launch: Launch, supervisor: Supervisor) -> None:
     """Wait for Ctrl-C, as `longreach up` does; the verdict follows."""
     out.print("all goes on running; Ctrl-C ends it and tells the verdict", highlight=False)
     show_console(launch)
@@ -93,7 +93,7 @@ def _held(launch: Launch, supervisor: Supervisor) -> None:
         supervisor.watch(tell=tell)
 
 
-def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, json_file: Path | None) -> bool:
+def _present(launch: Launch, choice: Choice, driven: Driven, wall_s: float, json_file: Path | None) -> bool:
     """Whether the demonstration has passed by the plant's own recording; table and report are out."""
     recording = read_truth(launch.records(PLANT) / "truth.mcap")
     # On one machine the plant's monotonic clock is vision's too.

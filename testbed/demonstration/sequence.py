@@ -204,7 +204,7 @@ def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: flo
             rest.label,
             rest.look_number,
             1e-9 * (rest.time_ns - int(times_ns[0])),
-            None if rest.look is None else _seen(rest.look, clearance_m),
+            None if rest.look is None else _measured_errors(rest.look, clearance_m),
             _true(rest.time_ns, times_ns, truths, clearance_m),
             rest.note,
             rest.told,
@@ -213,7 +213,7 @@ def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: flo
     )
 
 
-def _seen(look: SeenPoses, clearance_m: float) -> Errors:
+def _measured_errors(look: SeenPoses, clearance_m: float) -> Errors:
     p = look.X_CO[:3, 3] - look.X_CM[:3, 3] - np.array([0.0, 0.0, clearance_m])
     return Errors(p, angle_between(look.X_CM[:3, :3], look.X_CO[:3, :3]))
 
@@ -309,7 +309,9 @@ def aimed_truths(truths: Sequence[TimedTruth], rests: Sequence[Rest], holes_O: A
         return list(truths)
     return [
         timed._replace(
-            truth=_moved(timed.truth, next((p for end, p in goals if timed.time_ns <= end), goals[-1][1]))
+            truth=_truth_about(
+                timed.truth, next((p for end, p in goals if timed.time_ns <= end), goals[-1][1])
+            )
         )
         for timed in truths
     ]
@@ -322,5 +324,5 @@ def _true_hole(clicked: Clicked, truths: Sequence[TimedTruth], holes_O: Array) -
     return np.asarray(holes_O[int(np.linalg.norm(places - clicked.p_C, axis=1).argmin())])
 
 
-def _moved(truth: PlantTruth, place_O: Array) -> PlantTruth:
+def _truth_about(truth: PlantTruth, place_O: Array) -> PlantTruth:
     return truth._replace(p_CO=truth.p_CO + truth.R_CO @ place_O)

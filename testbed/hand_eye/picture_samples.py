@@ -227,7 +227,7 @@ def _sample(
             f"{camera.size[0]}x{camera.size[1]}",
         )
     try:
-        view = _found(image, board, path.name)
+        view = _find_board(image, board, path.name)
     except MeasurementFailed:
         return None
     seen = {
@@ -249,7 +249,7 @@ def _points(board: Checkerboard | Charuco) -> Array:
     return board.square_m * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(np.float64)
 
 
-def _found(image: Image, board: Checkerboard | Charuco, name: str) -> BoardView:
+def _find_board(image: Image, board: Checkerboard | Charuco, name: str) -> BoardView:
     if isinstance(board, Charuco):
         return zhang.find_charuco(image, board, name)
     view = zhang.find_checkerboard(image, board, Detector.SECTORS, name)

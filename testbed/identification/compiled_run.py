@@ -78,7 +78,7 @@ def _restart(state: Array, shaft: Array, k: int, told: Restarts) -> None:
 
 
 @allocation_free
-def _read(state: Array, shaft: Array, offsets: Array, signals: Array, k: int) -> None:
+def _read_signals(state: Array, shaft: Array, offsets: Array, signals: Array, k: int) -> None:
     for i in range(N_ACTUATORS):
         signals[k, i] = shaft[i] + offsets[i]
         signals[k, N_ACTUATORS + 2 * i] = state[PRESSURE_A + i]
@@ -115,7 +115,7 @@ def run(
     for k in range(n):
         if told.every > 0 and k > 0 and k % told.every == 0:
             _restart(state, shafts.angle, k, told)
-        _read(state, shafts.angle, told.offsets, signals, k)
+        _read_signals(state, shafts.angle, told.offsets, signals, k)
         if k + 1 < n:
             for step in range(words.at[k], words.at[k + 1]):
                 _target(words, step)

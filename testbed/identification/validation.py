@@ -133,7 +133,7 @@ def check_noise(signals: list[SignalFit]) -> None:
 
 def _check_parameter(found: Identified, index: int, parameter: Parameter, theta: float) -> None:
     low, high = (float(limit[index]) for limit in found.problem.limits)
-    beyond = _pushed(found, index) if theta <= low or theta >= high else 0.0
+    beyond = _push_from_bound(found, index) if theta <= low or theta >= high else 0.0
     if abs(theta) > MOST_SPREADS * parameter.spread or beyond > MOST_PUSHED:
         where = (
             f"{abs(theta) / parameter.spread:.1f} spreads of its prior off the file, at most {MOST_SPREADS:g}"
@@ -148,7 +148,7 @@ def _check_parameter(found: Identified, index: int, parameter: Parameter, theta:
         )
 
 
-def _pushed(found: Identified, index: int) -> float:
+def _push_from_bound(found: Identified, index: int) -> float:
     """By how many of its σ the recording would move a parameter on from the bound that it stands at."""
     fit = found.whole
     downhill = fit.jacobian[:, index] @ fit.residuals.ravel()

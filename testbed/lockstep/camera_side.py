@@ -102,7 +102,7 @@ class LockstepRecording:
         self._recorder = TruthRecorder(path, run, drawn, entries, DirectRecording)
         self._plant = plant
         self._camera = camera
-        camera.viewers.append(self._exposed)
+        camera.viewers.append(self._expose)
 
     def truth(self, truth: PlantTruth) -> None:
         """Record a regular truth."""
@@ -115,9 +115,9 @@ class LockstepRecording:
 
     def close(self) -> None:
         """Write the summary and close the file."""
-        self._camera.viewers.remove(self._exposed)
+        self._camera.viewers.remove(self._expose)
         self._recorder.close()
 
-    def _exposed(self, exposure: Exposure) -> None:
+    def _expose(self, exposure: Exposure) -> None:
         truth, links = exposure.truth, self._plant.links()
         self._recorder.capture(truth, truth.time_ns, exposure.shot.frame_id, links, exposure.motion)

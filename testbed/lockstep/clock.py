@@ -186,7 +186,7 @@ class LockstepClock:
         if not self._in_background:
             return self.advance_until(happened, timeout_s)
         if not happened():
-            await _suspended(_Wait(happened, self.now_ns + round(1e9 * timeout_s)))
+            await _suspend(_Wait(happened, self.now_ns + round(1e9 * timeout_s)))
         return happened()
 
     async def run(self, work: Callable[[], T]) -> T:
@@ -261,5 +261,5 @@ class LockstepWork:
 
 
 @types.coroutine
-def _suspended(wait: _Wait) -> Generator[_Wait, None, None]:
+def _suspend(wait: _Wait) -> Generator[_Wait, None, None]:
     yield wait

@@ -52,7 +52,7 @@ class LinkRecord:
     def __call__(self, event: Submitted | Streamed | ClientEvent) -> None:
         """Write what a reader of the run's log wants to know of ``event``."""
         if isinstance(event, StateReceived):
-            self._received(event.state)
+            self._receive_state(event.state)
         elif isinstance(event, Submitted):
             self._add("request", id=event.command_id, kind=type(event.request).__name__)
         elif isinstance(event, AcknowledgementReceived):
@@ -65,7 +65,7 @@ class LinkRecord:
         elif isinstance(event, DatagramDropped):
             self._add("datagram_dropped", cause=event.cause)
 
-    def _received(self, state: State) -> None:
+    def _receive_state(self, state: State) -> None:
         if not self.states or _noteworthy(self.states[-1], state):
             self._add(
                 "state",
@@ -253,7 +253,7 @@ class World:
         """Pass one controller cycle; for the clock alone."""
         self.link.tick()
         datagrams = self.to_controller(self.link.outgoing(self.vision_ns - self.lead_ns))
-        sensor_words = self._exchanged()
+        sensor_words = self._exchange()
         scan_ns = self._time_ns + CONTROLLER_CLOCK_NS
         output, replies = self.controller.cycle(sensor_words, datagrams, scan_ns - self.lead_ns, scan_ns)
         for event in output.events:
@@ -262,7 +262,7 @@ class World:
             self.link.receive(data)
         self._pass_time(self._time_ns + self.controller.cycle_ns)
 
-    def _exchanged(self) -> list[int] | None:
+    def _exchange(self) -> list[int] | None:
         """The plant's sensor words, after it was given the controller's valves; None while it is silent."""
         if self.plant.faults.of_kind(CouplerSilent):
             return None

@@ -223,7 +223,7 @@ def greeted(link: LinkSettings, arm_hash: int) -> Reason | None:
             deadline = time.monotonic() + _ANSWER_S
             answer = None
             while answer is None and time.monotonic() < deadline:
-                answer = _exchanged(client, udp)
+                answer = _exchange_datagrams(client, udp)
             client.disconnect(time.monotonic_ns())
             for datagram in client.outgoing():
                 udp.send(datagram)
@@ -232,7 +232,7 @@ def greeted(link: LinkSettings, arm_hash: int) -> Reason | None:
     return answer
 
 
-def _exchanged(client: ReferenceClient, udp: socket.socket) -> Reason | None:
+def _exchange_datagrams(client: ReferenceClient, udp: socket.socket) -> Reason | None:
     """Send what is due and read one datagram; the verdict, if it holds one."""
     client.tick(time.monotonic_ns())
     for datagram in client.outgoing(time.monotonic_ns()):

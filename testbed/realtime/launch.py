@@ -233,7 +233,7 @@ def free_ports() -> dict[str, Any]:
     }
 
 
-def _introduced(settings: Settings) -> dict[str, Any]:
+def _face_overrides(settings: Settings) -> dict[str, Any]:
     """Overrides by which the console may ask the emulator's face, and knows where it is."""
     face, api = settings.plant_service.fault_face, settings.vision.api
     own = [f"http://{host}:{api.port}" for host in dict.fromkeys((api.host, "127.0.0.1", "localhost"))]
@@ -273,7 +273,7 @@ def prepare(
         overrides = merged(overrides, free_ports())
     settings = load_settings(config_dir, overrides)
     if settings.plant_service.fault_face.allowed or settings.plant_service.fault_face.shows_truth:
-        overrides = merged(overrides, _introduced(settings))
+        overrides = merged(overrides, _face_overrides(settings))
         settings = load_settings(config_dir, overrides)
     if foxglove == 0:
         foxglove = free_port()

@@ -82,7 +82,7 @@ def calibration_of(told: JSON) -> LocalCalibration:
 def positioning_of(told: JSON) -> PositioningResult:
     """Looks and steps of a look-then-move."""
     steps = tuple(
-        Step(_metres(s["p_lc_mm"]), _pose(s["X_BT_ref"]), _expected(s["expected"])) for s in told["steps"]
+        Step(_metres(s["p_lc_mm"]), _pose(s["X_BT_ref"]), _expected_end(s["expected"])) for s in told["steps"]
     )
     return PositioningResult(tuple(_verdict(look) for look in told["looks"]), steps, Ended(told["ended"]))
 
@@ -97,7 +97,7 @@ RESULT_OF: dict[str, Callable[[JSON], Any]] = {
 """By program; what is not here stays JSON."""
 
 
-def _expected(told: JSON) -> ExpectedEnd:
+def _expected_end(told: JSON) -> ExpectedEnd:
     """The API tells the correlation of x and y alone: z is taken for independent."""
     std = _metres(told["std_mm"])
     covariance = np.diag(std**2)

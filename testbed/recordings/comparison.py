@@ -68,7 +68,7 @@ class Difference(NamedTuple):
         """One line that says it all."""
         happened = _HAPPENED.get(self.kind, "captured")
         where = f"{self.kind} {self.number} ({happened} at {self.time_ns * 1e-9:.3f} s): {self.field}"
-        return f"{where}: recorded {_shown(self.recorded)}, replayed {_shown(self.replayed)}"
+        return f"{where}: recorded {_as_text(self.recorded)}, replayed {_as_text(self.replayed)}"
 
 
 class ReplayComparison:
@@ -102,17 +102,17 @@ class ReplayComparison:
         if self.exact and digests[0] is not None and digests[0] == digests[1]:
             return self.same(kind)
         stamp = _stamp(recorded) if time_ns is None else time_ns
-        parted = self._parted(_flat(recorded), _flat(again))
+        parted = self._first_difference(_flat(recorded), _flat(again))
         if parted is None and self.exact and digests[0] != digests[1]:
             parted = "digest", digests[0], digests[1]
         return self.same(kind) if parted is None else self.different(kind, number, stamp, *parted)
 
     def values(self, kind: str, number: int, time_ns: int, recorded: Values, replayed: Values) -> bool:
         """Compare values by name. Return whether they are the same."""
-        parted = self._parted(recorded, replayed)
+        parted = self._first_difference(recorded, replayed)
         return self.same(kind) if parted is None else self.different(kind, number, time_ns, *parted)
 
-    def _parted(self, before: Values, now: Values) -> tuple[str, Any, Any] | None:
+    def _first_difference(self, before: Values, now: Values) -> tuple[str, Any, Any] | None:
         """The first field that is not the same, and both its values."""
         for field in [*before, *(field for field in now if field not in before)]:
             apart = 0.0 if field == "digest" else _apart(before.get(field), now.get(field))
@@ -164,5 +164,5 @@ def _stamp(message: Any) -> int:
     return int(message.capture_ns)
 
 
-def _shown(value: Any) -> str:
+def _as_text(value: Any) -> str:
     return "nothing" if value is None else repr(value)

@@ -108,13 +108,15 @@ def run_directory(runs: Path) -> Iterator[Path]:
     began_s, ended_by = time.monotonic(), ""
     try:
         record.note(directory, **known)
-        with kept_on_ctrl_c(lambda: f"what was recorded is kept in {directory}" if _kept(directory) else ""):
+        with kept_on_ctrl_c(
+            lambda: f"what was recorded is kept in {directory}" if _has_results(directory) else ""
+        ):
             yield directory
     except BaseException as error:
         ended_by = f"{error.cause}: {error}" if isinstance(error, LongreachError) else type(error).__name__
         raise
     finally:
-        if _kept(directory):
+        if _has_results(directory):
             record.note(directory, took_s=time.monotonic() - began_s, ended_by=ended_by)
             with suppress(OSError):  # the run itself is kept
                 write_index(runs)
@@ -125,7 +127,7 @@ def run_directory(runs: Path) -> Iterator[Path]:
                     runs.rmdir()
 
 
-def _kept(directory: Path) -> bool:
+def _has_results(directory: Path) -> bool:
     """Whether there is anything in it beside its record."""
     files = (path for path in directory.rglob("*") if path.is_file())
     return not all(file.name.startswith(RECORD_FILE) for file in files)

@@ -78,7 +78,7 @@ def trajectory_errors(
 
 def _errors(estimates: Array, true: Array) -> TrajectoryErrors:
     places, wanted = estimates[:, :3, 3], true[:, :3, 3]
-    R, t, scale = _aligned(places, wanted)
+    R, t, scale = _align(places, wanted)
     ate = np.linalg.norm(places @ R.T + t - wanted, axis=1)
     steps = [_relative(estimates, true, i, i + 1) for i in range(len(true) - 1)]
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wanted, axis=0), axis=1))])
@@ -114,7 +114,7 @@ def _drift(estimates: Array, true: Array, travelled: Array) -> float | None:
     return 100.0 * float(np.mean(shares))
 
 
-def _aligned(places: Array, wanted: Array) -> tuple[Array, Array, float]:
+def _align(places: Array, wanted: Array) -> tuple[Array, Array, float]:
     """R, t of the best rigid alignment of ``places`` (n, 3) to ``wanted``, and the scale of the best
     similarity, places over wanted (Umeyama 1991).
     """

@@ -93,7 +93,7 @@ class Uniform(StrictModel):
     high: Value
 
     @model_validator(mode="after")
-    def _ordered(self) -> "Uniform":
+    def _check_order(self) -> "Uniform":
         if np.shape(self.low) != np.shape(self.high):
             raise ValueError("low and high are of different length")
         if np.any(np.asarray(self.low) > np.asarray(self.high)):

@@ -138,8 +138,8 @@ def _at(schema: Schema, path: str) -> Schema:
 
 
 def _branch(root: Schema, here: Schema, name: str) -> Schema:
-    here = _resolved(root, here)
-    for branch in (here, *(_resolved(root, one) for one in (*here.get("anyOf", ()), *here.get("oneOf", ())))):
+    here = _resolve(root, here)
+    for branch in (here, *(_resolve(root, one) for one in (*here.get("anyOf", ()), *here.get("oneOf", ())))):
         if name in branch.get("properties", {}):
             found: Schema = branch["properties"][name]
             return found
@@ -149,7 +149,7 @@ def _branch(root: Schema, here: Schema, name: str) -> Schema:
     return {}
 
 
-def _resolved(root: Schema, here: Schema) -> Schema:
+def _resolve(root: Schema, here: Schema) -> Schema:
     if "$ref" not in here:
         return here
     found: Schema = root["$defs"][here["$ref"].rpartition("/")[2]]
@@ -157,7 +157,7 @@ def _resolved(root: Schema, here: Schema) -> Schema:
 
 
 def _in_words(root: Schema, found: Schema) -> str:
-    found = _resolved(root, found)
+    found = _resolve(root, found)
     if kinds := [*found.get("anyOf", ()), *found.get("oneOf", ())]:
         return " or ".join(dict.fromkeys(filter(None, (_in_words(root, kind) for kind in kinds))))
     if "const" in found or "enum" in found:
@@ -186,7 +186,7 @@ def _left_out(
     for name, found in here.get("properties", {}).items():
         path = f"{before}{name}"
         default = given.get(name, found.get("default", _NONE))
-        below = _resolved(root, found)
+        below = _resolve(root, found)
         if path in written:
             continue
         if "properties" in below:

@@ -140,11 +140,11 @@ INDEXES = (BY_READER, "docs/decisions/README")
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
-    app.connect("source-read", _read)
+    app.connect("source-read", _insert_generated)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
-def _read(app: Sphinx, docname: str, source: list[str]) -> None:
+def _insert_generated(app: Sphinx, docname: str, source: list[str]) -> None:
     text = _MADE_HERE.sub(lambda found: MADE[found[1]](), source[0])
     if docname == app.config.root_doc:
         text += f"\n\n{_toctree('', [BY_READER])}" + by_reader(Path(app.srcdir))

@@ -137,7 +137,7 @@ def refused_in_motion(peer: Peer) -> None:
     require_no_jump(seen, "refused references")
 
 
-def _ramped(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
+def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
     """The STATEs from a stop in the middle of a motion to its end; the first is of before."""
     scene = entered(peer, Mode.MOVING)
     watch = StateWatch(peer)
@@ -155,14 +155,14 @@ def _ramped(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
 
 @case(569, "7.3", "DISABLE in motion ramps down before it drops the enable, without a fault", motion=True)
 def disabled_in_motion(peer: Peer) -> None:
-    last = _ramped(peer, CommandCode.DISABLE, GroupState.DISABLED)[-1].state
+    last = _ramp_states(peer, CommandCode.DISABLE, GroupState.DISABLED)[-1].state
     require(not any(last.valves), f"valves {last.valves}")
     require(last.fault is FaultCode.NONE, f"fault {last.fault.name}")
 
 
 @case(570, "7.3", "STOP in motion ramps down without a step of the speed, and holds there", motion=True)
 def stop_is_smooth(peer: Peer) -> None:
-    last = _ramped(peer, CommandCode.STOP, GroupState.STANDBY)[-1].state
+    last = _ramp_states(peer, CommandCode.STOP, GroupState.STANDBY)[-1].state
     require(peer.state().X_BT_cmd == last.X_BT_cmd, "the commanded pose moves on")
 
 

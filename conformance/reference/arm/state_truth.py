@@ -131,7 +131,7 @@ def counts(peer: Peer) -> None:
         require(1.0 < state.supply_bar < 1000.0, f"a supply pressure of {state.supply_bar:g} bar")
 
 
-def _followed(states: Sequence[State]) -> None:
+def _require_following(states: Sequence[State]) -> None:
     for state in states:
         off = max(abs(c - m) for c, m in zip(state.q_cmd, state.q_meas, strict=True))
         require(off < SAME_RAD, f"q_cmd is {off * 1e3:.2f} mrad from q_meas although nothing is driven")
@@ -145,11 +145,11 @@ def follows_measurement(peer: Peer) -> None:
     wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     peer.state()
     watch = StateWatch(peer)
-    _followed([each.state for each in watch.during(500.0)])
+    _require_following([each.state for each in watch.during(500.0)])
     wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
     wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     reach(peer, GroupState.DISABLED, "after RESET")
-    _followed([each.state for each in watch.during(300.0)])
+    _require_following([each.state for each in watch.during(300.0)])
 
 
 @case(514, "7.6", "the first fault stays latched, the gravest severity is shown, until RESET", motion=True)
@@ -190,7 +190,7 @@ def emergency_is_the_fault(peer: Peer) -> None:
     require(state.severity is Severity.EMERGENCY, f"severity {state.severity.name} in a new session")
 
 
-def _driven(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[Watched]]:
+def _drive_to(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[Watched]]:
     """The id of a motion to ``goal``, and its STATEs until it is done."""
     peer = watch.peer
     request = ReferencePose(peer.new_id(), goal, seconds)
@@ -205,7 +205,7 @@ def _driven(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[Wa
 def done_at_its_end(peer: Peer) -> None:
     scene = entered(peer, Mode.STANDBY)
     watch = StateWatch(peer)
-    motion_id, seen = _driven(watch, scene.goal, 0.8)
+    motion_id, seen = _drive_to(watch, scene.goal, 0.8)
     for each in seen[:-1]:
         require(each.state.motion_id == motion_id, "motion_id is not the motion's")
         require(not each.state.flags & FLAG_SETTLED, "SETTLED while it moves")
@@ -213,7 +213,7 @@ def done_at_its_end(peer: Peer) -> None:
     off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.goal.p_m)
     require(off_m < 1e-6, f"done {off_m * 1e3:.2f} mm before its end")
     require(all(each.state.motion_done for each in watch.during(300.0)), "motion_done is taken back")
-    _, seen = _driven(watch, scene.here, 0.8)
+    _, seen = _drive_to(watch, scene.here, 0.8)
     off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.here.p_m)
     require(off_m < 1e-6, f"the next one is done {off_m * 1e3:.2f} mm before its end")
     nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
@@ -243,7 +243,7 @@ def measured_follows(peer: Peer) -> None:
     scene = entered(peer, Mode.STANDBY)
     watch = StateWatch(peer)
     begin = peer.state()
-    _, seen = _driven(watch, scene.goal, 1.2)
+    _, seen = _drive_to(watch, scene.goal, 1.2)
     states = [each.state for each in (*seen, *watch.during(300.0))]
     last = states[-1]
     joint = max(range(6), key=lambda j: abs(last.q_cmd[j] - begin.q_cmd[j]))

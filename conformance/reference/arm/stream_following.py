@@ -81,7 +81,9 @@ class MovingReference(NamedTuple):
         return seen
 
 
-def _begun(peer: Peer, velocity: Axes, turning: Axes = AT_REST) -> tuple[Stream, StateWatch, MovingReference]:
+def _begin_stream(
+    peer: Peer, velocity: Axes, turning: Axes = AT_REST
+) -> tuple[Stream, StateWatch, MovingReference]:
     scene = entered(peer, Mode.STANDBY)
     watch = StateWatch(peer)
     stream = opened_stream(peer)
@@ -101,7 +103,7 @@ def _require_met(seen: list[Watched], target: MovingReference) -> None:
 
 
 def _followed_with_velocity(peer: Peer, velocity: Axes, turning: Axes, age_ms: float) -> None:
-    stream, watch, target = _begun(peer, velocity, turning)
+    stream, watch, target = _begin_stream(peer, velocity, turning)
     target.feed(stream, watch, MET_MS, age_ms)
     _require_met(target.feed(stream, watch, 300.0, age_ms), target)
     wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
@@ -151,7 +153,7 @@ def sets_out_smoothly(peer: Peer) -> None:
 
 @case(573, "12.8", f"a reference every {GAP_MS:g} ms is followed at full pace")
 def gaps(peer: Peer) -> None:
-    stream, watch, target = _begun(peer, RISING)
+    stream, watch, target = _begin_stream(peer, RISING)
     target.feed(stream, watch, MET_MS)
     for _ in range(6):
         target.give(stream)
@@ -166,7 +168,7 @@ def gaps(peer: Peer) -> None:
 @case(575, "12.8", f"after {LONG_GAP_MS:g} ms of silence a reference is followed again, soon at full pace")
 def recovers(peer: Peer) -> None:
     for _ in range(4):
-        stream, watch, target = _begun(peer, RISING)
+        stream, watch, target = _begin_stream(peer, RISING)
         seen = target.feed(stream, watch, 600.0)
         target.give(stream)
         seen = watch.during(LONG_GAP_MS)
@@ -214,7 +216,7 @@ def burst(peer: Peer) -> None:
 
 @case(588, "12.10", "END_STREAM rests where a moving reference was when it was last accepted")
 def ends_at_its_last_place(peer: Peer) -> None:
-    stream, watch, target = _begun(peer, (0.0, 0.0, -SPEED_M_S))
+    stream, watch, target = _begin_stream(peer, (0.0, 0.0, -SPEED_M_S))
     target.feed(stream, watch, 600.0)
     target.give(stream)
     last_ns = peer.now_ns

@@ -206,11 +206,11 @@ def order(peer: Peer) -> None:
 def distance(peer: Peer) -> None:
     stream, here = _stream(peer)
     limit = _require_sides(
-        _refused(stream, moved(here, dz=100.0)), Reason.TOO_FAR, 100.0, DISTANCE_M, "a distance"
+        _refusal_of(stream, moved(here, dz=100.0)), Reason.TOO_FAR, 100.0, DISTANCE_M, "a distance"
     )
     beyond = limit * (1.0 + SIDE)
     _require_sides(
-        _refused(stream, moved(here, dx=-beyond)), Reason.TOO_FAR, beyond, DISTANCE_M, "a distance"
+        _refusal_of(stream, moved(here, dx=-beyond)), Reason.TOO_FAR, beyond, DISTANCE_M, "a distance"
     )
     inside = verdict(stream, moved(here, dx=-limit * (1.0 - SIDE)))
     require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
@@ -218,7 +218,7 @@ def distance(peer: Peer) -> None:
     wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
-def _refused(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
+def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
     got = verdict(stream, pose, **more)
     require(got is not None, "it is followed although it is beyond the limit")
     assert got is not None
@@ -228,9 +228,9 @@ def _refused(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
 @case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
 def angle(peer: Peer) -> None:
     stream, here = _stream(peer)
-    limit = _require_sides(_refused(stream, turned(here, 2.0)), Reason.TOO_FAR, 2.0, TURN_RAD, "an angle")
+    limit = _require_sides(_refusal_of(stream, turned(here, 2.0)), Reason.TOO_FAR, 2.0, TURN_RAD, "an angle")
     beyond = limit * (1.0 + SIDE)
-    _require_sides(_refused(stream, turned(here, beyond)), Reason.TOO_FAR, beyond, TURN_RAD, "an angle")
+    _require_sides(_refusal_of(stream, turned(here, beyond)), Reason.TOO_FAR, beyond, TURN_RAD, "an angle")
     inside = verdict(stream, turned(here, limit * (1.0 - SIDE)))
     require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
     stream.feed(here, LIMITS_FEED_MS)
@@ -246,10 +246,10 @@ def speed(peer: Peer) -> None:
         def twist(rate: float, axis: int = axis) -> tuple[float, ...]:
             return tuple(rate if k == axis else 0.0 for k in range(6))
 
-        got = _refused(stream, here, twist_ref=twist(50.0))
+        got = _refusal_of(stream, here, twist_ref=twist(50.0))
         limit = _require_sides(got, Reason.TOO_FAST, 50.0, most, f"axis {axis}, a speed")
         beyond = limit * (1.0 + 2 * SIDE)
-        got = _refused(stream, here, twist_ref=twist(-beyond))
+        got = _refusal_of(stream, here, twist_ref=twist(-beyond))
         _require_sides(got, Reason.TOO_FAST, beyond, most, f"axis {axis}, a speed")
         inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
         require(inside is None, f"axis {axis}: refused within its limit: {inside}")

@@ -174,13 +174,13 @@ def title_of(mode: Mode, asked: Asked) -> str:
 def answered(peer: Peer, asked: Asked, scene: ReachedMode) -> Reason:
     """The reason that answers; for a streamed reference that is followed, ACCEPTED."""
     if asked is Asked.STREAMED:
-        return _streamed(peer, scene)
+        return _stream_reason(peer, scene)
     if asked is Asked.MOVE:
         return peer.ask(ReferencePose(peer.new_id(), scene.goal, 3.0), "a reference").reason
     return peer.command(CommandCode(asked))
 
 
-def _streamed(peer: Peer, scene: ReachedMode) -> Reason:
+def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
     stream = scene.stream or Stream(peer, peer.new_id())
     number = stream.number
     stream.give(scene.goal)

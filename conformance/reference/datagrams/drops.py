@@ -61,9 +61,9 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield (
         "signed otherwise than the session",
         peer,
-        lambda: _signed(peer, None if peer.link_key else OTHER_KEY.of_hello()),
+        lambda: _signed_heartbeat(peer, None if peer.link_key else OTHER_KEY.of_hello()),
     )
-    yield "signed with another key", peer, lambda: _signed(peer, OTHER_KEY.of_hello())
+    yield "signed with another key", peer, lambda: _signed_heartbeat(peer, OTHER_KEY.of_hello())
     yield "that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]
     yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
     yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
@@ -75,7 +75,7 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
 
 
-def _signed(peer: Peer, key: DirectionKey | None) -> bytes:
+def _signed_heartbeat(peer: Peer, key: DirectionKey | None) -> bytes:
     """A heartbeat under any key, or under none."""
     peer.sequence += 1
     header = Header(peer.session, peer.sequence % SEQUENCES, peer.now_ns, minor=peer.minor)
@@ -240,22 +240,22 @@ def drops_begin_nothing(peer: Peer) -> None:
 @case(252, "1.8", "padding that is not zero is ignored in every kind of datagram")
 def dirty_padding(peer: Peer) -> None:
     for message in messages_of_a_client(peer):
-        peer.send_raw(_dirtied(peer, peer.encoded(message)))
+        peer.send_raw(_with_dirty_padding(peer, peer.encoded(message)))
         used = [d.message for d in peer.collect(peer.grace_ms) if _is_use(d.message)]
         require(len(used) == 1, f"{type(message).__name__}, its padding not zero: came {used}")
     session = peer.session
-    peer.send_raw(_dirtied(peer, peer.encoded(Bye(Reason.SHUTDOWN))))
+    peer.send_raw(_with_dirty_padding(peer, peer.encoded(Bye(Reason.SHUTDOWN))))
     peer.session = 0
     peer.collect(RATION_MS, beating=False)
     peer.send(stop(peer), session=session)
     peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE, its padding not zero")
     peer.collect(RATION_MS, beating=False)
     greeting = peer.encoded(Hello(peer.nonce(), 1 | peer.required, 0, 50), session=0)
-    peer.send_raw(_dirtied(peer, greeting))
+    peer.send_raw(_with_dirty_padding(peer, greeting))
     peer.expect(Welcome, "HELLO, its padding not zero", beating=False)
 
 
-def _dirtied(peer: Peer, data: bytes) -> bytes:
+def _with_dirty_padding(peer: Peer, data: bytes) -> bytes:
     """``data`` with every byte of its padding set."""
     fields = PAYLOADS[Kind(data[KIND])]
     for field, offset in zip(fields, offsets(fields), strict=True):

@@ -111,7 +111,7 @@ def last_word(peer: Peer) -> None:
 @case(134, "5.1", "WELCOME has the controller's first number in the session")
 def first_number(peer: Peer) -> None:
     peer.open()
-    datagrams = [d for d in _received(peer) if d.header.session == peer.session]
+    datagrams = [d for d in _receive_all(peer) if d.header.session == peer.session]
     numbers = [d.header.sequence for d in datagrams]
     steps = {(b - a) % peer.sequences for a, b in itertools.pairwise(numbers)}
     require(isinstance(datagrams[0].message, Welcome), "something came before WELCOME")
@@ -177,7 +177,7 @@ def one_clock(peer: Peer) -> None:
         require(abs(off_ms) < 1.0, f"{what} is {off_ms:.2f} ms off the clock of replied_ns")
 
 
-def _received(peer: Peer) -> list[Datagram]:
+def _receive_all(peer: Peer) -> list[Datagram]:
     return [decode(line.data) for line in peer.transcript if line.direction == "receive"]
 
 

@@ -55,7 +55,7 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
         session = rig.guided.session
         rig.run(rig.guided.solve())
         row: dict[str, Any] = {"seed": seed, "promised_mm": 1e3 * check.promised_std[0]}
-        row |= _judged(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
+        row |= _errors_of_X(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
         row |= _localisation(rig, session, task["repetitions"], seed)
         if task["random"]:
             other = GuidedRig(settings, seed, Path(sessions))
@@ -66,7 +66,7 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     return row | {"guided_refused": len(session.refused), "faults": faults + row.get("locating_faults", 0)}
 
 
-def _solved(session: Session, count: int, method: Method = Method.ROBUST) -> HandEyeResult | None:
+def _solution_of_first(session: Session, count: int, method: Method = Method.ROBUST) -> HandEyeResult | None:
     """The answer of the first ``count`` samples: the session's own (robust, with the arm), or another's."""
     first = replace(session, samples=session.samples[:count])
     try:
@@ -77,7 +77,7 @@ def _solved(session: Session, count: int, method: Method = Method.ROBUST) -> Han
         return None
 
 
-def _judged(session: Session, X_TC: Array) -> dict[str, Any]:
+def _errors_of_X(session: Session, X_TC: Array) -> dict[str, Any]:
     """Error of X over all samples, its predicted standard deviation, and how the two agree.
 
     X is the camera against the tool's true frame. What turns the reported frame against that one (the last
@@ -104,7 +104,7 @@ def _curve(kind: str, session: Session, X_TC: Array) -> dict[str, Any]:
     """The error of X after each number of samples, and how many were needed to stay under the limit."""
     errors: list[float | None] = []
     for count in range(_LEAST, len(session.samples) + 1):
-        result = _solved(session, count)
+        result = _solution_of_first(session, count)
         error = None if result is None else 1e3 * float(np.linalg.norm(result.X[:3, 3] - X_TC[:3, 3]))
         errors.append(error)
     curve = {f"{kind}_{_LEAST + k}_mm": error for k, error in enumerate(errors)}
@@ -124,7 +124,7 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
     """Errors of the three targets over ``repetitions`` poses around the starting pose."""
     if repetitions == 0:
         return {}
-    answers = {m.value: _solved(session, len(session.samples), m) for m in LOCATING}
+    answers = {m.value: _solution_of_first(session, len(session.samples), m) for m in LOCATING}
     found = {name: result.X for name, result in answers.items() if result is not None}
     rng = np.random.default_rng([seed, 3])
     start = session.around.X_BT_start

@@ -163,14 +163,14 @@ def localisation_tasks(request: CampaignRequest, settings: LocalisationSettings)
     return [{"key": f"{seed}-{repetitions}-{run}", "run": run} | asked for run in range(request.runs)]
 
 
-def _localised(done: Located) -> list[LocalisationRow]:
+def _localisation_rows(done: Located) -> list[LocalisationRow]:
     demand_all(done.rows)
     return list(localisation.rows_of([localisation.entries_of(row.entries or []) for row in done.rows]))
 
 
 def localisation_verdict(done: Located) -> list[Check]:
     """The robust solver, bad samples included, locates better than the paper's best (Fig. 5, 6)."""
-    everything = {(r.method, r.samples): r for r in _localised(done) if r.task == "all"}
+    everything = {(r.method, r.samples): r for r in _localisation_rows(done) if r.task == "all"}
     robust = everything.get((Method.ROBUST.value, f"all {localisation.TAKEN}"))
     dqcr = everything[(Method.DQCR.value, f"{localisation.KEPT} kept by hand")]
     return [
@@ -206,9 +206,9 @@ LOCALISATION = Experiment(
     row=LocalisedRun,
     tasks=localisation_tasks,
     run=localisation.calibration_row,
-    table=lambda done: [localisation_table(_localised(done))],
+    table=lambda done: [localisation_table(_localisation_rows(done))],
     verdict=localisation_verdict,
-    figures=lambda done: {"rows": _localised(done)},
+    figures=lambda done: {"rows": _localisation_rows(done)},
     runs=50,
     world="poses of the paper's Table 1, with 5 bad samples of 17",
     eyes="none: poses with noise",

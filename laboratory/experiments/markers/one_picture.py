@@ -177,7 +177,7 @@ def one_picture(config_dir: Path, task: Task) -> LimitRow:
     else:
         picture = tags(task["family"], aspect_of(axis, value), rng, *((TIMED,) if axis == TIME else ()))
     rounds = _ROUNDS if axis == TIME else 1
-    told = {name: _timed(read, picture.image, rounds) for name, read in readers(task["family"]).items()}
+    told = {name: _read_timed(read, picture.image, rounds) for name, read in readers(task["family"]).items()}
     ours = told["ours"][0]
     seen = {name: judged(found, ours, picture)._replace(ms=ms) for name, (found, ms) in told.items()}
     row = LimitRow(
@@ -234,7 +234,7 @@ def _nees(ours: Sequence[MarkerReading], picture: TagPicture) -> float:
     return float(sum(right[one.number] / one.std_px**2 for one in ours if one.number in right))
 
 
-def _timed(read: Reader, image: Image, rounds: int) -> tuple[list[MarkerReading], float]:
+def _read_timed(read: Reader, image: Image, rounds: int) -> tuple[list[MarkerReading], float]:
     """What is read, and the least CPU time of it in ms."""
     found = read(image) if rounds > 1 else []
     spent = []
@@ -260,12 +260,14 @@ def _as_in_rigs(config_dir: Path, family: str, picture: TagPicture) -> tuple[flo
     low = np.maximum(places.min(axis=0) - settings.region_margin_px, 0).astype(int)
     high = (places.max(axis=0) + settings.region_margin_px).astype(int)
     region = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-    known = _timed(lambda image: _looked(image, settings, None), picture.image, _ROUNDS)
-    tracked = _timed(lambda image: _looked(image, settings, region), picture.image, _ROUNDS)
+    known = _read_timed(lambda image: _read_markers(image, settings, None), picture.image, _ROUNDS)
+    tracked = _read_timed(lambda image: _read_markers(image, settings, region), picture.image, _ROUNDS)
     return known[1], tracked[1]
 
 
-def _looked(image: Image, settings: MarkerSettings, region: markers.Region | None) -> list[MarkerReading]:
+def _read_markers(
+    image: Image, settings: MarkerSettings, region: markers.Region | None
+) -> list[MarkerReading]:
     rough, _ = markers.detect(image, settings, region)
     refined = {number: marker_edges.refine(image, quad, lambda at: at) for number, quad in rough.items()}
     return [MarkerReading(number, corners) for number, corners in refined.items() if corners is not None]

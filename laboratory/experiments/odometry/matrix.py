@@ -82,9 +82,9 @@ def one_row(config_dir: Path, task: Task) -> MatrixRow:
     cv2.setNumThreads(1)
     config = load(VisionConfig, config_dir / "vision.yaml")
     name = task["kind"]
-    made = _made(config_dir, task)
+    made = _sequence_of(config_dir, task)
     began = time.process_time()
-    result, refusal = _followed(config, made, name in KINDS and KINDS[name].exact)
+    result, refusal = _follow(config, made, name in KINDS and KINDS[name].exact)
     ms = 1e3 * (time.process_time() - began) / len(made.pairs)
     told = judged(result, made.X_C0C)
     causes = " ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
@@ -107,7 +107,7 @@ def one_row(config_dir: Path, task: Task) -> MatrixRow:
     )
 
 
-def _made(config_dir: Path, task: Task) -> Sequence:
+def _sequence_of(config_dir: Path, task: Task) -> Sequence:
     name = task["kind"]
     if name in REAL_KINDS:
         return real_sequence(name)
@@ -116,7 +116,7 @@ def _made(config_dir: Path, task: Task) -> Sequence:
     return sequence(config_dir, name, task["seed"], task["pairs"])
 
 
-def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[SequenceResult, str]:
+def _follow(config: VisionConfig, made: Sequence, exact: bool) -> tuple[SequenceResult, str]:
     """What the command `longreach odometry` makes of the pairs; or the cause for which it refuses them."""
     recorded = config.recorded_odometry
     if exact:  # so told: what `--set vision.recorded_odometry.…` does

@@ -78,14 +78,14 @@ def available() -> bool:
 
 def real_sequence(name: str) -> Sequence:
     """The rectified pairs of kind ``name``. Raises RequestRefused where the pictures are not."""
-    pictures, told = _rectified()
+    pictures, told = _rectified_pairs()
     made = REAL_KINDS[name].made(list(pictures))
     pairs = [StereoPair(left, right, round(k * 1e9 / RATE_HZ), k) for k, (left, right) in enumerate(made)]
     return Sequence(pairs, np.tile(se3.identity(), (len(pairs), 1, 1)), told)
 
 
 @lru_cache(maxsize=1)
-def _rectified() -> tuple[tuple[tuple[Image, Image], ...], RectifiedPairSettings]:
+def _rectified_pairs() -> tuple[tuple[tuple[Image, Image], ...], RectifiedPairSettings]:
     raw = [
         StereoPair(left, right, 0, k)
         for k, ((_, left), (_, right)) in enumerate(

@@ -55,10 +55,10 @@ def judged(result: SequenceResult, true: Array) -> Judged:
         found.append((error, record.pose.covariance))
         held.add(record.segment)
     located = len(found) + len(held)  # a map of one pair tells no place
-    return _summed(located, found)
+    return _sum_up(located, found)
 
 
-def _summed(located: int, found: Sequence[tuple[Array, Array]]) -> Judged:
+def _sum_up(located: int, found: Sequence[tuple[Array, Array]]) -> Judged:
     if not found:
         return Judged(located, 0, 0, 0.0, float("nan"), float("nan"))
     away = [float(np.linalg.norm(error[:3])) for error, _ in found]

@@ -53,14 +53,14 @@ class RememberingEyes:
         """A look of the eyes. Raises MeasurementFailed when none of them shows tool and object."""
         for _ in range(_LOOKS - 1):
             try:
-                return self._kept(await self._eyes.look(frames))
+                return self._remember(await self._eyes.look(frames))
             except MeasurementFailed as failed:
                 if failed.cause not in _UNSEEN:
                     raise
                 self.unseen += 1
-        return self._kept(await self._eyes.look(frames))
+        return self._remember(await self._eyes.look(frames))
 
-    def _kept(self, look: Look) -> Look:
+    def _remember(self, look: Look) -> Look:
         self.looks.append(look)
         return look
 

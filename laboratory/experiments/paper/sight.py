@@ -230,7 +230,7 @@ class OpencvSensor:
 
     def _poses(self, frame: OpencvFrame, settings: MarkerSettings) -> dict[int, Array]:
         """X_CA of every known marker that OpenCV finds."""
-        found = self._found(frame, settings)
+        found = self._marker_corners(frame, settings)
         self._around = np.concatenate(list(found.values())) if len(found) == len(settings.sizes) else None
         poses = {}
         for number, corners in found.items():
@@ -239,15 +239,15 @@ class OpencvSensor:
             poses[number] = se3.transform(se3.exp_so3(turn.ravel()), place.ravel())
         return poses
 
-    def _found(self, frame: OpencvFrame, settings: MarkerSettings) -> dict[int, Array]:
+    def _marker_corners(self, frame: OpencvFrame, settings: MarkerSettings) -> dict[int, Array]:
         """Corners (4, 2) px of known markers: around where all were last, anywhere if not all are there."""
         if self._around is not None:
             low = np.maximum(self._around.min(axis=0).astype(int) - settings.region_margin_px, 0)
             high = self._around.max(axis=0).astype(int) + settings.region_margin_px
-            corners = _detected(frame.left[low[1] : high[1], low[0] : high[0]], settings)
+            corners = _detect_markers(frame.left[low[1] : high[1], low[0] : high[0]], settings)
             if len(corners) == len(settings.sizes):
                 return {number: quad + low for number, quad in corners.items()}
-        return _detected(frame.left, settings)
+        return _detect_markers(frame.left, settings)
 
 
 class OpencvOdometry:
@@ -269,7 +269,7 @@ class OpencvOdometry:
         return self._odometry.process(pair, X_CM, X_BT)
 
 
-def _detected(image: Image, settings: MarkerSettings) -> dict[int, Array]:
+def _detect_markers(image: Image, settings: MarkerSettings) -> dict[int, Array]:
     found, ids, _ = _detector(settings.dictionary).detectMarkers(np.ascontiguousarray(image))
     if ids is None:
         return {}

@@ -93,7 +93,7 @@ def test_a_mixed_world_has_one_source_of_the_other_and_all_else_of_its_own(world
         return dict(mixed_worlds._leaves(mixed(CONFIGS, world, "plant", seed, source)))
 
     mine, other = world_of(1, "A"), world_of(1, "B")
-    assert other == dict(mixed_worlds._drawn(CONFIGS, world, "plant", 1 + OTHER))
+    assert other == dict(mixed_worlds._drawn_leaves(CONFIGS, world, "plant", 1 + OTHER))
     names = sources_of(CONFIGS, world, "plant", 1)
     assert (len(names), names[-1]) == ((7, NOISE) if world is WorldName.LAB else (11, NOISE))
     for name in ("payload", "camera", NOISE):

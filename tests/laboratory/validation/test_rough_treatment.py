@@ -58,9 +58,9 @@ def test_oil_made_out_of_nothing_and_energy_lost_are_noticed() -> None:
     stand.command[:] = 0.3
     ledger = Ledger(stand)
     fair = ledger.run(0.2, 2.5e-4)
-    before = ledger._stored()
+    before = ledger._stored_energy_and_mass()
     stand.state[PRESSURE_A + 1] += 1e5
-    after = ledger._stored()
+    after = ledger._stored_energy_and_mass()
     assert fair.mass_error < 1e-7
     assert ((after[1] - before[1]) / before[1]).max() > 10.0 * MASS_LIMIT
     assert abs(after[0] - before[0]) > 1.0
