@@ -8,6 +8,7 @@ import numpy as np
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.camera.checking import question
 from testbed.cli.options import PicturedBoard, PoseLines, SampleSource
 from testbed.hand_eye import picture_samples, presentation, trajectories
 from testbed.hand_eye.importer import ImportOptions, load
@@ -15,7 +16,6 @@ from testbed.hand_eye.picture_samples import detect, intrinsics_row, intrinsics_
 from testbed.hand_eye.pose_text import read_robot_poses
 from testbed.hand_eye.presentation import hold_out, hold_out_table
 from testbed.hand_eye.trajectories import PairingOptions
-from testbed.pictures.board_question import question
 from testbed.reporting.console import out, write_json
 from testbed.scenarios.scenario import chosen_overrides, load_settings
 from vision_pc.config.choices import Detector, Method, Setup

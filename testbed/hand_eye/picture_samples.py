@@ -11,9 +11,9 @@ import numpy as np
 from rich.table import Table
 
 from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.camera.checking import question
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import RobotPoses, file_text, numbers
-from testbed.pictures.board_question import question
 from testbed.reporting.console import Columns, listed, out
 from vision_pc.config.camera_files.reading import read_calibration
 from vision_pc.config.choices import Detector, LensModel, Setup

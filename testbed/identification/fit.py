@@ -52,17 +52,12 @@ class Simple(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """A fitted plant: the problem, what the simple stages found, the fit as one run; ``runs`` in all."""
+    """A fitted plant: the problem, what the simple stages found, the fit as one run."""
 
     problem: FitProblem
     joints: list[int]
     simple: Simple
     whole: Fit
-
-    @property
-    def runs(self) -> int:
-        """How often the plant was run."""
-        return self.whole.runs
 
 
 def problem_of(config: PlantConfig, recording: MotionRecording, joints: Sequence[int]) -> FitProblem:

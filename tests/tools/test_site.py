@@ -76,7 +76,7 @@ def test_a_command_is_there_with_what_its_help_says() -> None:
     def new(name: Annotated[str, typer.Argument(metavar="NAME")]) -> None:
         """Make one."""
 
-    page = configuration_keys.page(app)
+    page = configuration_keys.commands_page(app)
     assert [line for line in page.splitlines() if line.startswith("#")] == [
         "## longreach demo",
         "## longreach arm new",

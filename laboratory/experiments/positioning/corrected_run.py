@@ -65,7 +65,7 @@ def prediction_of(end: ExpectedEnd, true_mm: Array) -> Prediction:
 
 
 class Branch(NamedTuple):
-    """One look and its drive: true error, the servo's part, what was predicted, measured, looked at, mm.
+    """One look and its drive: true error, the servo's part, what was predicted, measured, mm.
 
     ``before``: predicted before moving; ``after``: by odometry, before the last look.
     """
@@ -74,7 +74,6 @@ class Branch(NamedTuple):
     servo_mm: XYZ = UNKNOWN
     std_mm: XYZ = UNKNOWN
     measured_mm: XYZ = UNKNOWN
-    look_mm: XYZ = UNKNOWN
     worst_mm: float = math.nan
     before: Prediction = Prediction()
     after: Prediction = Prediction()
@@ -101,7 +100,6 @@ class PositioningRow(NamedTuple):
     commissioned: bool = False
     unreachable: int | None = None
     unseen: int | None = None
-    start_mm: float = math.nan
     one_shot: Branch = Branch()
     look1: Branch = Branch()
     look2: Branch = Branch()
@@ -119,7 +117,6 @@ def one_run(config_dir: Path, task: JSON) -> JSON:
     row |= {name: bool(task.get(name)) for name in ("adapting", "commissioned")}
     try:
         rig = prepared(config_dir, task)
-        row["start_mm"] = float(np.linalg.norm(true_error_mm(rig)[:2]))
     except LongreachError as error:
         return row | {"failure": f"{error.cause}: {error}"}
     one_shot = driven(copy.deepcopy(rig), {"corrections": 0})
@@ -196,7 +193,7 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
     except LongreachError as error:
         return Branch(failure=f"{error.cause}: {error}")
     error_mm = true_error_mm(rig)
-    steps, final = result.positioning.steps, result.positioning.final
+    steps = result.positioning.steps
     reference_m = steps[-1].X_BT_ref[:3, 3] if steps else np.full(3, math.nan)
     off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - reference_m)
     X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
@@ -205,7 +202,6 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
         servo_mm=xyz(X_BC[:3, :3].T @ off_mm),
         std_mm=xyz([1e3 * float(value) for value in result.expected.std_m]),
         measured_mm=xyz([1e3 * float(value) for value in result.measured_residual_m]),
-        look_mm=xyz([1e3 * float(value) for value in final.error_m]),
         worst_mm=float(np.abs(error_mm[:2]).max()),
         before=prediction_of(result.expected, error_mm),
         after=prediction_of(result.seen, error_mm),

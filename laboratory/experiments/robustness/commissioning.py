@@ -1,6 +1,5 @@
 """Commissioning on drawn machines: what was found against what was drawn, and whether the σ told is true."""
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -124,25 +123,18 @@ class CommissioningRow(NamedTuple):
     valves: str
     joint: int
     by_outlet: int
-    raising_true: float
-    lowering_true: float
     raising_percent: float
     lowering_percent: float
     raising_z: float
     lowering_z: float
-    hysteresis_true: float
     hysteresis_error: float
     hysteresis_z: float
-    play_true_mrad: float
     play_percent: float
     play_z: float
     play_resolved: int
     delay_true_ms: float
     delay_ms: float
     delay_z: float
-    lag_ms: float
-    residual_mrad: float
-    travel_mrad: float
     arm_s: float
     cpu_s: float
 
@@ -170,19 +162,13 @@ def commission_joint(config_dir: Path, task: JSON) -> JSON:
         "valves": _SETS[seed % 2],
         "joint": joint,
         "by_outlet": int(found.raising.by_outlet) + int(found.lowering.by_outlet),
-        "raising_true": up,
-        "lowering_true": down,
         "raising_percent": 100.0 * (raising.value / up - 1.0),
         "lowering_percent": 100.0 * (lowering.value / down - 1.0),
         "raising_z": _z(raising, up),
         "lowering_z": _z(lowering, down),
-        "hysteresis_true": true.hysteresis,
         "hysteresis_error": loop.value - true.hysteresis,
         "hysteresis_z": _z(loop, true.hysteresis),
         **_play_figures(found, settings, joint),
-        "lag_ms": 1e3 * found.lag.value,
-        "residual_mrad": 1e3 * max(found.raising.residual, found.lowering.residual),
-        "travel_mrad": 1e3 * found.travel,
         "arm_s": ended.seconds,
     }
 
@@ -194,7 +180,6 @@ def _play_figures(found: JointFindings, settings: Settings, joint: int) -> JSON:
         raise MeasurementFailed("measurement.play_unseen", f"{JOINT_NAMES[joint]}: {found.unseen}")
     late_ms = settings.scene.camera.stamps.delay_ms
     return {
-        "play_true_mrad": 1e3 * true,
         "play_percent": 100.0 * (play.half / true - 1.0),
         "play_z": (play.half - true) / play.half_std,
         "play_resolved": int(found.resolved),
@@ -315,23 +300,6 @@ def _band(count: int) -> tuple[float, float]:
     return float(chi2.ppf(0.025, count)) / count, float(chi2.ppf(0.975, count)) / count
 
 
-def commissioning_figures(done: FoundJoints) -> JSON:
-    """The verdict's figures."""
-    rows = [row for row in done.rows if not row.failure]
-    errors, z = _edges(rows)
-    return {
-        "joints": len(rows),
-        "failed": len(done.rows) - len(rows),
-        "deadband_percent": {"median": float(np.median(np.abs(errors))), "worst": float(np.abs(errors).max())}
-        if rows
-        else None,
-        "deadband_nees": float(np.mean(z**2)) if rows else math.nan,
-        "play_percent": [abs(row.play_percent) for row in rows],
-        "play_nees": _nees([row.play_z for row in rows]) if rows else math.nan,
-        "delay_nees": _nees([row.delay_z for row in rows]) if rows else math.nan,
-    }
-
-
 COMMISSIONING = Experiment(
     name="commissioning",
     title="Commissioning of drawn machines.",
@@ -341,7 +309,6 @@ COMMISSIONING = Experiment(
     run=commission_joint,
     table=commissioning_table,
     verdict=commissioning_verdict,
-    figures=commissioning_figures,
     runs=50,
     seed=41_001,
     world="the drawn machines of commissioning",

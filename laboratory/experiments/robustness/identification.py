@@ -57,7 +57,6 @@ class IdentifiedRow(NamedTuple):
     chi2: float
     fit: float
     before: float
-    plant_runs: int
     promised: float
     white: float
     failure: str = ""
@@ -120,7 +119,6 @@ def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
         chi2=excess(found),
         fit=float("nan"),
         before=float("nan"),
-        plant_runs=found.runs,
         promised=found.whole.promised,
         white=float("nan"),
     )

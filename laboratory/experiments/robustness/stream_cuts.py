@@ -118,11 +118,6 @@ def cut_verdict(done: Cuts) -> list[Check]:
     ]
 
 
-def cut_figures(done: Cuts) -> dict[str, Any]:
-    """The limits, beside the rows."""
-    return {"first_seed": done.request.seed, "command_ms": COMMAND_MS, "flow_ms": FLOW_MS}
-
-
 STREAM_CUTS = Experiment(
     name="stream-cuts",
     title="Cut the reference stream at random moments.",
@@ -132,7 +127,6 @@ STREAM_CUTS = Experiment(
     run=one_run,
     table=cut_table,
     verdict=cut_verdict,
-    figures=cut_figures,
     runs=459,
     eyes="none",
 )

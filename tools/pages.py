@@ -1,7 +1,8 @@
-"""The generated tables of docs/process_image.md; ``python -m tools.coupler_page`` writes them."""
+"""Generated tables of the pages on coupler, programs and worlds; ``python -m tools.pages`` writes them."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from pymodbus.pdu.bit_message import ReadCoilsRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
@@ -9,6 +10,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWrite
 from conformance.coupler import UNASKED
 from conformance.runner import coupler_cases
 from foundation.modbus import MAX_PDU_BYTES
+from laboratory.experiments.positioning.worlds import WORLDS
 from plant_emulator.core.coupler import modbus_requests as requests
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
@@ -17,8 +19,9 @@ from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
 from tools.protocol_page import filled
 from tools.tables import cases_by_clause, table
+from vision_pc.application.programs import PROGRAMS
 
-PAGE = Path(__file__).parents[1] / "docs" / "process_image.md"
+DOCS = Path(__file__).parents[1] / "docs"
 _READ, _BITS, _NONE = ReadHoldingRegistersRequest.MAX_COUNT, ReadCoilsRequest.MAX_COUNT, "–"
 _MOST_WORDS = (MAX_PDU_BYTES - 6) // 2  # behind function code, address, quantity and byte count
 FUNCTIONS = {
@@ -82,8 +85,8 @@ def _block(name: str, address: int, words: int) -> Iterable[object]:
     return (f"{address:#06x}", words, name, *shown)
 
 
-def sections() -> dict[str, str]:
-    """Every generated section by its name."""
+def coupler_sections() -> dict[str, str]:
+    """Every generated section of the coupler's page by its name."""
     assert set(FUNCTIONS) == set(COUPLER_MAP.reads) | set(COUPLER_MAP.writes) | {requests.DIAGNOSTICS}
     blocks = (
         _block("analog inputs", INPUT_ADDRESS, INPUT_WORDS),
@@ -110,10 +113,56 @@ def sections() -> dict[str, str]:
     }
 
 
-def rendered(text: str) -> str:
-    """``text`` with every generated section made anew."""
-    return filled(text, sections())
+def program_sections() -> dict[str, str]:
+    """The table of the programs."""
+    rows = (
+        (
+            f"`{program.name}`",
+            program.title,
+            f"`{_where(program.core or program.run)}`",
+            ", ".join(need.__name__.replace("_", " ") for need in program.needs),
+            program.source,
+        )
+        for program in PROGRAMS
+    )
+    return {"programs": table("program | what it does | read | needs | source", rows)}
+
+
+def _where(function: Callable[..., Any]) -> str:
+    """The file of a function under vision_pc, and its name."""
+    return f"{function.__module__.removeprefix('vision_pc.').replace('.', '/')}.py: {function.__qualname__}"
+
+
+def world_sections() -> dict[str, str]:
+    """The tables of the worlds and their axes."""
+    worlds = (
+        (f"`{name}`", f"`{world.arm}`", ", ".join(_words(axis.name) for axis in world.axes) or "nothing more")
+        for name, world in WORLDS.items()
+    )
+    axes = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
+    drawn = ((_words(axis.name), axis.width, axis.source) for axis in axes.values())
+    return {
+        "worlds": table("world | arm | drawn beside the task and the lab's own", worlds),
+        "axes": table("axis | how wide | why so wide", drawn),
+    }
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+PAGES: Mapping[str, Callable[[], dict[str, str]]] = {
+    "process_image.md": coupler_sections,
+    "calibration.md": program_sections,
+    "worlds.md": world_sections,
+}
+
+
+def rendered(page: str) -> str:
+    """The text of ``page`` with every generated section made anew."""
+    return filled((DOCS / page).read_text(encoding="utf-8"), PAGES[page]())
 
 
 if __name__ == "__main__":
-    PAGE.write_text(rendered(PAGE.read_text()))
+    for name in PAGES:
+        (DOCS / name).write_text(rendered(name), encoding="utf-8")
