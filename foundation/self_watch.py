@@ -144,12 +144,12 @@ class SelfWatch:
         before = self._before
         if now_ns >= self._still_until_ns:
             self._still = ""
-        told = self._overload.update(now_ns, {LOOP: self._ticks} | dict(self._counts())) or self._still
-        self._before = told
-        if told and (not before or now_ns - self._told_ns >= _TELL_AGAIN_NS):
+        detail = self._overload.update(now_ns, {LOOP: self._ticks} | dict(self._counts())) or self._still
+        self._before = detail
+        if detail and (not before or now_ns - self._told_ns >= _TELL_AGAIN_NS):
             self._told_ns = now_ns
-            self._log.write("overloaded", "warning", cause="machine.overloaded", detail=told)
-        elif before and not told:
+            self._log.write("overloaded", "warning", cause="machine.overloaded", detail=detail)
+        elif before and not detail:
             self._log.write("overload_over", detail="the machine keeps up again")
         if self._record_dir is not None:
             self._look_at_disk(self._record_dir)
@@ -162,6 +162,6 @@ class SelfWatch:
         self._log.room = free_mb >= DISK_FULL_MB
         level = sum(free_mb < limit for limit in (DISK_LOW_MB, DISK_FULL_MB))
         if level > self._disk_level:
-            told = f"{directory}: {free_mb:.0f} MB left; below {DISK_FULL_MB:.0f} MB no motion is begun"
-            self._log.write("disk_low", "warning", cause="recording.disk_low", detail=told)
+            detail = f"{directory}: {free_mb:.0f} MB left; below {DISK_FULL_MB:.0f} MB no motion is begun"
+            self._log.write("disk_low", "warning", cause="recording.disk_low", detail=detail)
         self._disk_level = level

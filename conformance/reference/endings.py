@@ -14,8 +14,8 @@ from conformance.reference.motion import (
     moved,
     reach,
     reference_reason,
+    require_reason,
     standby,
-    wanted,
 )
 from conformance.wire import MS, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
@@ -69,8 +69,8 @@ def require_latched(peer: Peer, after: str) -> None:
     require(later.valves == (0.0,) * 6, f"valves {later.valves}")
     drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
     require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
-    wanted(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     require(reach(peer, GroupState.DISABLED, "after RESET").fault is FaultCode.NONE, "RESET left a fault")
 
 
@@ -78,7 +78,7 @@ def require_dropped(peer: Peer, after: str) -> None:
     """Require a group that is DISABLED without a fault."""
     state = reach(peer, GroupState.DISABLED, f"after {after}", RAMPED_MS)
     require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after {after}")
-    wanted(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
+    require_reason(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
 
 
 @case(534, "7.5", "BYE in motion stops the arm and latches; the next session finds it so", motion=True)
@@ -108,7 +108,7 @@ def hello_in_motion(peer: Peer) -> None:
     state = peer.state()
     require(state.group_state is GroupState.MOVING, f"{state.group_state.name} after HELLO alone")
     require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after HELLO alone")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     reach(peer, GroupState.STANDBY, "after STOP")
 
 
@@ -137,7 +137,7 @@ def restart_in_standby(peer: Peer) -> None:
 def bye_while_stopping(peer: Peer) -> None:
     moving(peer)
     peer.collect(1500)  # to its pace: from there the ramp takes longest
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     peer.leave()
     peer.session = 0
     seen = come_back(peer, "BYE while STOPPING")
@@ -233,7 +233,7 @@ def while_stopping(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 2.0), Reason.ACCEPTED, "a motion")
     reach(peer, GroupState.MOVING, "after a reference")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     _flood(peer, (ReferencePose(peer.new_id(), here, 0.0) for _ in range(20)))
     state = _latched_state(peer, "references, while stopping,")
     require(state.valves == (0.0,) * 6, f"valves {state.valves}")

@@ -72,8 +72,8 @@ def trouble_words(trouble: Trouble) -> str:
     if words is None:  # stopped from outside, or a controller's that knows more than we do
         return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}"
     value, limit = words.scale * trouble.value, words.scale * trouble.limit
-    told = f"{value:.4g} {words.unit}, limit {limit:.4g}"
-    return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}: {words.what}: {told}"
+    value_text = f"{value:.4g} {words.unit}, limit {limit:.4g}"
+    return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}: {words.what}: {value_text}"
 
 
 _OF_EDGES = (
@@ -93,9 +93,9 @@ def findings_tables(found: Mapping[int, JointFindings], seen: TrialsTold | None 
         for joint, one in sorted(found.items())
         for sense, edge in (("raising", one.raising), ("lowering", one.lowering))
     ]
-    told = {} if seen is None else {str(name): one for name, one in seen.play_mrad.items()}
+    plays = {} if seen is None else {str(name): one for name, one in seen.play_mrad.items()}
     joints = [
-        (JOINTS[joint], *_joint_cells(one, told.get(JOINT_NAMES[joint])))
+        (JOINTS[joint], *_joint_cells(one, plays.get(JOINT_NAMES[joint])))
         for joint, one in sorted(found.items())
     ]
     return [
@@ -117,11 +117,11 @@ def _edge_cells(sense: str, edge: EdgeFindings) -> tuple[str, ...]:
     )
 
 
-def _joint_cells(one: JointFindings, told: ToldNumber | None) -> tuple[str, ...]:
+def _joint_cells(one: JointFindings, by_vision: ToldNumber | None) -> tuple[str, ...]:
     return (
         _number_text(one.friction.friction, 1.0, 1),
         _number_text(one.friction.load, 1.0, 1),
-        _play_told(one, told),
+        _play_told(one, by_vision),
         f"{1e3 * one.travel:.0f}",
         f"{one.seconds:.0f}",
     )
@@ -134,8 +134,8 @@ def _play_told(one: JointFindings, by_vision: ToldNumber | None) -> str:
             if by_vision is None
             else _number_text(Uncertain(by_vision.value, by_vision.std), 1.0, 3)
         )
-    told = _number_text(Uncertain(one.play.half, one.play.half_std), 1e3, 3)
-    return told if one.resolved else f"{told} (not to 20 %)"
+    half_text = _number_text(Uncertain(one.play.half, one.play.half_std), 1e3, 3)
+    return half_text if one.resolved else f"{half_text} (not to 20 %)"
 
 
 def _number_text(number: Uncertain, unit: float, digits: int) -> str:
@@ -212,8 +212,10 @@ def run_commission(request: CommissionRequest) -> bool:
     if request.records is not None:
         take_finished(request.records, settings, session.keep)
     to_do = [joint for joint in joints if joint not in session.finished]
-    told = f"{len(joints) - len(to_do)} joints are in {request.directory}, {len(to_do)} are tried out now"
-    out.print(told, style="dim", highlight=False)
+    progress_text = (
+        f"{len(joints) - len(to_do)} joints are in {request.directory}, {len(to_do)} are tried out now"
+    )
+    out.print(progress_text, style="dim", highlight=False)
     complete = _tried_out(settings, request, to_do, session) if to_do else True
     found = _findings_of(session, settings)
     if found:
@@ -267,9 +269,9 @@ def _excite(
         return excite_in_lockstep(world, session.keep, bar.update, eyes)
 
 
-def _broken_off(session: CommissioningSession, cause: str, told: str) -> bool:
+def _broken_off(session: CommissioningSession, cause: str, why: str) -> bool:
     session.ended_by(cause)
-    kept = f"{told}; the arm stands, what was found is kept"
+    kept = f"{why}; the arm stands, what was found is kept"
     err.print(kept, style="bold red", highlight=False, soft_wrap=True, markup=False)
     return False
 
@@ -295,5 +297,5 @@ def _write(found: Mapping[int, JointFindings], settings: Settings, session: Comm
     content = commissioned_from(found, settings.arm, settings.controller, sources, made, session.seen)
     path = session.directory / "commissioned.yaml"
     path.write_text(yaml.safe_dump(content.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
-    told = f"written: {path}; the controller takes it as controller.commissioned={path.resolve()}"
-    out.print(told, highlight=False, soft_wrap=True)
+    where = f"written: {path}; the controller takes it as controller.commissioned={path.resolve()}"
+    out.print(where, highlight=False, soft_wrap=True)

@@ -164,9 +164,9 @@ def excite_live(
             seconds = time.monotonic() - began_s
             _disable(client)
             _keep(controller.records, _summary(controller.records, expected), settings, keep)
-    told = _last_summary(controller.records, expected)
-    _keep(controller.records, told, settings, keep)
-    return Excited(seconds, _trouble_of(told))
+    summary = _last_summary(controller.records, expected)
+    _keep(controller.records, summary, settings, keep)
+    return Excited(seconds, _trouble_of(summary))
 
 
 def take_finished(records: Path, settings: Settings, keep: Callable[[JointRecording], None]) -> None:
@@ -221,8 +221,8 @@ def _disable(client: LiveClient) -> None:
 def _summary(records: Path, expected: dict[str, Any]) -> dict[str, Any]:
     path = records / SUMMARY
     try:
-        told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        basis = told["basis"]
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        basis = summary["basis"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(
             "commissioning.no_trials",
@@ -233,16 +233,16 @@ def _summary(records: Path, expected: dict[str, Any]) -> dict[str, Any]:
         raise ConfigurationError(
             "commissioning.other_session", f"{path}: the controller runs with {basis}, here is {expected}"
         )
-    return told
+    return summary
 
 
 def _last_summary(records: Path, expected: dict[str, Any]) -> dict[str, Any]:
     """The summary once the last recording is written: it says how it ended."""
     until_s = time.monotonic() + _WRITTEN_S
     while True:
-        told = _summary(records, expected)
-        if told["ended_by"] is not None or told["whole"]:
-            return told
+        summary = _summary(records, expected)
+        if summary["ended_by"] is not None or summary["whole"]:
+            return summary
         if time.monotonic() > until_s:
             why = f"the valves are centred, and no recording was written within {_WRITTEN_S:g} s"
             raise MeasurementFailed("measurement.stopped", why)
@@ -250,15 +250,15 @@ def _last_summary(records: Path, expected: dict[str, Any]) -> dict[str, Any]:
 
 
 def _keep(
-    records: Path, told: dict[str, Any], settings: Settings, keep: Callable[[JointRecording], None]
+    records: Path, summary: dict[str, Any], settings: Settings, keep: Callable[[JointRecording], None]
 ) -> None:
-    for name in told["finished"]:
+    for name in summary["finished"]:
         strokes, samples = read_trial(records / f"trial_{name}.jsonl")
         keep(recording_of(settings.arm, JOINT_NAMES.index(name), strokes, samples))
 
 
-def _trouble_of(told: dict[str, Any]) -> Trouble | None:
-    ended = told["ended_by"]
+def _trouble_of(summary: dict[str, Any]) -> Trouble | None:
+    ended = summary["ended_by"]
     if ended is None:
         return None
     joint = JOINT_NAMES.index(ended["joint"])

@@ -138,8 +138,8 @@ def record(
         a, b, c, d, e, f = row
         plant.write(ValveImage(k + 1, CONTROL_ENABLE, (a, b, c, d, e, f)))
         plant.advance(round(PERIOD_S * 1e9))
-    told: Array = np.array(rows, dtype=np.float64)
-    told[:, 6:19] += PRESSURE_NOISE_BAR * noise.standard_normal((len(told), 13))
+    readings: Array = np.array(rows, dtype=np.float64)
+    readings[:, 6:19] += PRESSURE_NOISE_BAR * noise.standard_normal((len(readings), 13))
     about = About(
         arm=machine.arm,
         arm_hash=machine.arm_hash,
@@ -151,12 +151,12 @@ def record(
     )
     return MotionRecording(
         about,
-        np.arange(len(told), dtype=np.float64) * PERIOD_S,
+        np.arange(len(readings), dtype=np.float64) * PERIOD_S,
         valves,
-        told[:, :6] / COUNTS_PER_RADIAN,
-        told[:, 6:18].reshape(-1, N_ACTUATORS, 2) * BAR,
-        told[:, 18] * BAR,
-        told[:, 19],
+        readings[:, :6] / COUNTS_PER_RADIAN,
+        readings[:, 6:18].reshape(-1, N_ACTUATORS, 2) * BAR,
+        readings[:, 18] * BAR,
+        readings[:, 19],
     )
 
 
@@ -208,18 +208,18 @@ def informed(
     config: PlantConfig, arm: NominalArm, machine: Machine, piece: Piece, pool: Executor | None = None
 ) -> Informed:
     """What ``piece`` would tell, from the start pose of ``config``."""
-    told = record(config, machine, [_REST, piece], [], seed=1)
-    if refused := beyond_limits(told, arm):
+    motion = record(config, machine, [_REST, piece], [], seed=1)
+    if refused := beyond_limits(motion, arm):
         return Informed(piece, None, refused)
-    problem = problem_of(config, told, PLANNED_JOINTS)
+    problem = problem_of(config, motion, PLANNED_JOINTS)
     return Informed(piece, information_of(problem, len(parameters_of(config, PLANNED_JOINTS)), pool))
 
 
-def beyond_limits(told: MotionRecording, arm: NominalArm) -> str:
+def beyond_limits(motion: MotionRecording, arm: NominalArm) -> str:
     """Which joint leaves its range or exceeds its speed in ``told``, and by what; empty where none does."""
-    rates = np.abs(np.diff(told.angles, axis=0)).max(axis=0) / told.period_s
+    rates = np.abs(np.diff(motion.angles, axis=0)).max(axis=0) / motion.period_s
     for j, joint in enumerate(arm.joints):
-        low, high = np.degrees(told.angles[:, j].min()), np.degrees(told.angles[:, j].max())
+        low, high = np.degrees(motion.angles[:, j].min()), np.degrees(motion.angles[:, j].max())
         if low < joint.lower_deg or high > joint.upper_deg:
             return f"{joint.name} goes to {low if low < joint.lower_deg else high:.1f}°"
         if (speed := float(np.degrees(rates[j]))) > joint.speed_deg_s:
@@ -227,9 +227,9 @@ def beyond_limits(told: MotionRecording, arm: NominalArm) -> str:
     return ""
 
 
-def chosen(told: Sequence[Informed], seconds: float, before: Array | None = None) -> list[PlanStep]:
+def chosen(candidates: Sequence[Informed], seconds: float, before: Array | None = None) -> list[PlanStep]:
     """The pieces to use, in the order of their gain, within ``seconds``; ``before``: known already (p, p)."""
-    able = [(one.piece, one.information) for one in told if one.information is not None]
+    able = [(one.piece, one.information) for one in candidates if one.information is not None]
     if not able:
         return []
     total: Array = np.eye(len(able[0][1])) + (0.0 if before is None else before)

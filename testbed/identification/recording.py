@@ -121,10 +121,10 @@ def read_recording(path: Path) -> MotionRecording:
         raise ConfigurationError(
             "recording.unreadable", f"{path}: not UTF-8 at byte {error.start}"
         ) from error
-    told = [line.removeprefix("#").removeprefix(" ") for line in lines if line.startswith("#")]
-    if not told or told[0].strip() != FIRST_LINE:
+    header = [line.removeprefix("#").removeprefix(" ") for line in lines if line.startswith("#")]
+    if not header or header[0].strip() != FIRST_LINE:
         raise ConfigurationError("recording.not_one", f"{path}: the first line is not '# {FIRST_LINE}'")
-    about = _about("\n".join(told[1:]), path)
+    about = _about("\n".join(header[1:]), path)
     body = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
     names, order = _order(body[0][1] if body else "", path)
     table = np.array([_numbers(line, number, names, path) for number, line in body[1:]])
@@ -145,10 +145,10 @@ def read_recording(path: Path) -> MotionRecording:
 
 def _about(text: str, path: Path) -> About:
     try:
-        told: Any = yaml.safe_load(text)
+        data: Any = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ConfigurationError("recording.not_one", f"{path}: {' '.join(str(error).split())}") from error
-    return validated(About, told if isinstance(told, dict) else {}, str(path))
+    return validated(About, data if isinstance(data, dict) else {}, str(path))
 
 
 def _order(line: str, path: Path) -> tuple[list[str], list[int]]:
@@ -281,15 +281,15 @@ def excited_joints(recording: MotionRecording) -> list[int]:
 
     A joint counts when its valve word changes and its angle with it.
     """
-    told = np.ptp(recording.valves, axis=0)
+    valve_range = np.ptp(recording.valves, axis=0)
     moved = np.ptp(recording.angles, axis=0)
-    joints = [j for j in range(len(JOINTS)) if told[j] > 0.0 and moved[j] > _MOVED_RAD]
+    joints = [j for j in range(len(JOINTS)) if valve_range[j] > 0.0 and moved[j] > _MOVED_RAD]
     if not joints:
         most = int(np.argmax(moved))
         raise ConfigurationError(
             "recording.no_excitation",
             f"no joint is moved by its valve: at most {JOINTS[most]} by {1e3 * moved[most]:.2f} mrad"
-            f" (wanted {1e3 * _MOVED_RAD:g}), its valve word by {told[most]:.4f} (wanted more than 0)",
+            f" (wanted {1e3 * _MOVED_RAD:g}), its valve word by {valve_range[most]:.4f} (wanted more than 0)",
         )
     for joint in joints:
         _check_joint(recording, joint)

@@ -12,7 +12,7 @@ from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm.state_truth import StateWatch, Watched, turned
 from conformance.reference.arm.transitions import entered
-from conformance.reference.motion import expect_reason, moved, wanted
+from conformance.reference.motion import expect_reason, moved, require_reason
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -142,7 +142,7 @@ def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched
     scene = entered(peer, Mode.MOVING)
     watch = StateWatch(peer)
     seen = watch.during(UNDER_WAY_MS)[-1:]
-    wanted(peer, code, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, code, Reason.ACCEPTED, "MOVING")
     seen += watch.during(3000.0, until=lambda state: state.group_state is end)
     require(seen[-1].state.group_state is end, f"{code.name} does not lead to {end.name}")
     driven = [each for each in seen if each.state.group_state is not GroupState.DISABLED]
@@ -175,7 +175,7 @@ def centred_at_once(peer: Peer) -> None:
     watch.during(UNDER_WAY_MS / 2.0)
     assert peer.welcome is not None
     sent_ns = peer.now_ns
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     peer.passed_over.clear()
     seen = watch.during(150.0)
     latched = [each for each in seen if each.state.flags & FLAG_EMERGENCY_LATCHED]

@@ -14,7 +14,7 @@ from conformance.peer import Peer
 from conformance.reference.arm.state_truth import StateWatch, Watched
 from conformance.reference.arm.transitions import entered, opened_stream
 from conformance.reference.framing import stop
-from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, wanted
+from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, require_reason
 from conformance.reference.streaming import BOTH, FEED_MS
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode
@@ -106,7 +106,7 @@ def counts_of_the_scan(peer: Peer) -> None:
         (CommandCode.EMERGENCY_RELEASE, Severity.EMERGENCY),
         (CommandCode.RESET, Severity.NONE),
     ):
-        wanted(peer, code, Reason.ACCEPTED, "turn")
+        require_reason(peer, code, Reason.ACCEPTED, "turn")
         state = first_after(watch)
         require(state.severity is severity, f"severity {state.severity.name} after {code.name}")
 
@@ -129,7 +129,7 @@ def motion_of_the_scan(peer: Peer) -> None:
             require(states[-1].motion_id == request.command_id, "motion_id is not the motion's")
     for joints, tool in (("q_meas", "X_BT"), ("q_cmd", "X_BT_cmd")):
         _require_one_way(states[:9], joints, tool)
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     state = first_after(watch)
     off = max(abs(c - m) for c, m in zip(state.q_cmd, state.q_meas, strict=True))
     require(off < SAME_RAD, f"q_cmd and q_meas are {off * 1e3:.2f} mrad apart although nothing is driven")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from conformance.case import reference
 from conformance.peer import Peer
 from conformance.reference.arm.transitions import entered, is_ramping
-from conformance.reference.motion import disabled, expect_reason, reach, wanted
+from conformance.reference.motion import disabled, expect_reason, reach, require_reason
 from conformance.reference.streaming import BOTH
 from conformance.wire import MS, require
 from protocol.axes_group import Mode
@@ -142,12 +142,12 @@ def _require_following(states: Sequence[State]) -> None:
 @case(513, "7.7", "while the valves are not driven the command follows the measurement", motion=True)
 def follows_measurement(peer: Peer) -> None:
     entered(peer, Mode.MOVING)
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     peer.state()
     watch = StateWatch(peer)
     _require_following([each.state for each in watch.during(500.0)])
-    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     reach(peer, GroupState.DISABLED, "after RESET")
     _require_following([each.state for each in watch.during(300.0)])
 
@@ -164,14 +164,14 @@ def first_fault(peer: Peer) -> None:
     while is_ramping(peer.state()) and peer.now_ns < until_ns:
         pass
     shows(Severity.STOP, "after a motion whose session ended")
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "error")
     shows(Severity.EMERGENCY, "after EMERGENCY_STOP")
     peer.leave()
     peer.open(capabilities=BOTH, period_ms=0)
     shows(Severity.EMERGENCY, "in a new session")
-    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
+    require_reason(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
     shows(Severity.EMERGENCY, "after EMERGENCY_RELEASE")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     state = peer.state()
     cleared = (state.fault, state.severity) == (FaultCode.NONE, Severity.NONE)
     require(cleared, f"{state.fault.name}, {state.severity.name} after RESET")
@@ -182,7 +182,7 @@ def emergency_is_the_fault(peer: Peer) -> None:
     disabled(peer)
     before = peer.state()
     require(before.severity is Severity.NONE, f"severity {before.severity.name} without a fault")
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "DISABLED")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "DISABLED")
     peer.leave()
     peer.open(period_ms=20)
     state = peer.state()
@@ -229,7 +229,7 @@ def stopped_is_not_done(peer: Peer) -> None:
     seen = StateWatch(peer).during(SETTLES_MS, until=lambda state: bool(state.flags & FLAG_SETTLED))
     require(bool(seen[-1].state.flags & FLAG_SETTLED), "it does not settle after STOP")
     require(not any(each.state.motion_done for each in seen), "done although it was stopped")
-    wanted(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
+    require_reason(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
     require(not peer.state().flags & FLAG_SETTLED, "SETTLED although it is disabled")
 
 

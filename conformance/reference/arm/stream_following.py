@@ -12,7 +12,7 @@ from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm.state_truth import StateWatch, Watched, angle_between, turned_in_base
 from conformance.reference.arm.transitions import entered, opened_stream
-from conformance.reference.motion import moved, reach, wanted
+from conformance.reference.motion import moved, reach, require_reason
 from conformance.reference.streaming import NUMBERS, Stream
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode
@@ -106,7 +106,7 @@ def _followed_with_velocity(peer: Peer, velocity: Axes, turning: Axes, age_ms: f
     stream, watch, target = _begin_stream(peer, velocity, turning)
     target.feed(stream, watch, MET_MS, age_ms)
     _require_met(target.feed(stream, watch, 300.0, age_ms), target)
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(577, "12.7", "a reference that moves is met, and followed with its own velocity")
@@ -148,7 +148,7 @@ def sets_out_smoothly(peer: Peer) -> None:
         most = _furthest(seconds)
         said = f"{way * 1e3:.2f} mm within {seconds * 1e3:.0f} ms, at most {most * 1e3:.2f}"
         require(way < most + 1e-6, said)
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(573, "12.8", f"a reference every {GAP_MS:g} ms is followed at full pace")
@@ -162,7 +162,7 @@ def gaps(peer: Peer) -> None:
             require(each.state.group_state is GroupState.MOVING, f"fault {each.state.fault.name}")
             require(bool(each.state.flags & FLAG_STREAMING), "the stream has ended")
         _require_met(seen, target)
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(575, "12.8", f"after {LONG_GAP_MS:g} ms of silence a reference is followed again, soon at full pace")
@@ -178,7 +178,7 @@ def recovers(peer: Peer) -> None:
             seen += watch.during(PERIOD_MS)
         if any(each.state.group_state is not GroupState.MOVING for each in seen):
             continue  # the tester was late: the silence was longer than it should have been
-        wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+        require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
         _require_recovery(seen, sent_ns)
         return
     raise Unsupported("the tester is too late to be silent for so short a time")
@@ -211,7 +211,7 @@ def burst(peer: Peer) -> None:
         require(newest in shown, f"the newest of a burst is not followed, {lost} lost before it")
         answers = [d.message for d in peer.passed_over if isinstance(d.message, StreamRefused)]
         require(not answers, f"one of a burst was refused: {answers[:1]}")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(588, "12.10", "END_STREAM rests where a moving reference was when it was last accepted")
@@ -221,7 +221,7 @@ def ends_at_its_last_place(peer: Peer) -> None:
     target.give(stream)
     last_ns = peer.now_ns
     peer.collect(15.0)
-    wanted(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     state = reach(peer, GroupState.STANDBY, "after END_STREAM", 10_000)
     off_m = math.dist(state.X_BT_cmd.p_m, target.at(last_ns).p_m)
     require(off_m < SPEED_M_S * BEHIND_MS * 1e-3, f"{off_m * 1e3:.1f} mm from where the reference was")
@@ -243,4 +243,4 @@ def refused_has_no_effect(peer: Peer) -> None:
     stream.feed(scene.goal, 1200.0)
     off_m = math.dist(peer.state().X_BT_cmd.p_m, scene.goal.p_m)
     require(off_m < 1e-4, f"{off_m * 1e3:.1f} mm from the reference that stayed in force")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")

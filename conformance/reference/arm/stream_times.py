@@ -13,7 +13,7 @@ from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm.state_truth import StateWatch, Watched, turned
 from conformance.reference.arm.transitions import entered, opened_stream
-from conformance.reference.motion import moved, reach, scaled, wanted
+from conformance.reference.motion import moved, reach, require_reason, scaled
 from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream
 from conformance.wire import MS, require
 from protocol.axes_group import Mode
@@ -123,7 +123,7 @@ def ends_without_reference(peer: Peer) -> None:
     entered(peer, Mode.STANDBY)
     stream = opened_stream(peer)
     at = peer.state().X_BT_cmd
-    wanted(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     state = reach(peer, GroupState.STANDBY, "after END_STREAM", 1000)
     require(math.dist(state.X_BT_cmd.p_m, at.p_m) < 1e-6, "it moved")
     seen = StateWatch(peer).during(500.0, until=lambda state: state.motion_done)
@@ -199,7 +199,7 @@ def order(peer: Peer) -> None:
         require(got.reason is reason, f"what should be {reason.name} first is {got.reason.name}")
         stream.feed(here, LIMITS_FEED_MS)
         spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
@@ -215,7 +215,7 @@ def distance(peer: Peer) -> None:
     inside = verdict(stream, moved(here, dx=-limit * (1.0 - SIDE)))
     require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
     stream.feed(here, LIMITS_FEED_MS)
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
@@ -234,7 +234,7 @@ def angle(peer: Peer) -> None:
     inside = verdict(stream, turned(here, limit * (1.0 - SIDE)))
     require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
     stream.feed(here, LIMITS_FEED_MS)
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(583, "12.4", "its own speed, each axis: both sides of its limit")
@@ -254,7 +254,7 @@ def speed(peer: Peer) -> None:
         inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
         require(inside is None, f"axis {axis}: refused within its limit: {inside}")
         stream.feed(here, LIMITS_FEED_MS)
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(584, "12.6", "the age of the measurement: both sides of its limit")
@@ -283,7 +283,7 @@ def age(peer: Peer) -> None:
     stream.feed(here, LIMITS_FEED_MS)
     got = aged(limit_ms - AGE_SIDE_MS)
     require(got is None, f"{AGE_SIDE_MS:g} ms within its limit, and refused: {got}")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(585, "12.5", "numbers may leap by less than half their range, and not by more")
@@ -299,4 +299,4 @@ def leaps(peer: Peer) -> None:
         stream.number = (newest + 1) % NUMBERS
         stream.feed(here, LIMITS_FEED_MS)
         newest = (stream.number - 1) % NUMBERS
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")

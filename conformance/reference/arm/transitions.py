@@ -9,7 +9,7 @@ from typing import NamedTuple
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, reach, wanted
+from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, reach, require_reason
 from conformance.reference.streaming import BOTH, Stream
 from conformance.wire import ANSWER_MS, MS, Failed, Unsupported, require
 from protocol.axes_group import ANSWERS, GROUP_STATE, Asked, Mode, Transition
@@ -86,7 +86,7 @@ def _after(way: Callable[[Peer], ReachedMode], *codes: CommandCode) -> Callable[
     def enter(peer: Peer) -> ReachedMode:
         scene = way(peer)
         for code in codes:
-            wanted(peer, code, Reason.ACCEPTED, "the way there")
+            require_reason(peer, code, Reason.ACCEPTED, "the way there")
         return scene
 
     return enter

@@ -1,7 +1,7 @@
 """`longreach experiment odometry`: odometry of recordings on rendered sequences of every kind, beside
 ORB-SLAM3 on the same pictures.
 
-What is asked of every pair is the same: right within what was told, or lost by name.
+What is asked of every pair is the same: right within what was predicted, or lost by name.
 """
 
 import tempfile
@@ -86,22 +86,22 @@ def one_row(config_dir: Path, task: Task) -> MatrixRow:
     began = time.process_time()
     result, refusal = _follow(config, made, name in KINDS and KINDS[name].exact)
     ms = 1e3 * (time.process_time() - began) / len(made.pairs)
-    told = judged(result, made.X_C0C)
+    judgement = judged(result, made.X_C0C)
     causes = " ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
     peer = _peer(config_dir, config, made) if task["peer"] and not refusal else _NO_PEER
     return MatrixRow(
         name,
         task["seed"],
         len(made.pairs),
-        told.located,
+        judgement.located,
         len(result.joints),
         refusal or causes,
         _ate_mm(result.poses, made.X_C0C),
-        1e3 * told.worst_m,
-        1e3 * told.told_m,
-        told.wrong,
-        told.gross,
-        told.nees,
+        1e3 * judgement.worst_m,
+        1e3 * judgement.predicted_m,
+        judgement.wrong,
+        judgement.gross,
+        judgement.nees,
         ms,
         *peer,
     )
@@ -125,7 +125,7 @@ def _follow(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequence
         recorded = recorded.model_copy(update=known)
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
-        _write(path, made.told)
+        _write(path, made.stated)
         try:
             return follow_pairs(
                 lambda: made.pairs,
@@ -136,8 +136,8 @@ def _follow(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequence
             return SequenceResult([], [], 0), error.cause
 
 
-def _write(path: Path, told: RectifiedPairSettings) -> None:
-    lines = [f"{name}: {value}\n" for name, value in told.model_dump().items() if value is not None]
+def _write(path: Path, stated: RectifiedPairSettings) -> None:
+    lines = [f"{name}: {value}\n" for name, value in stated.model_dump().items() if value is not None]
     path.write_text("".join(lines), encoding="ascii")
 
 
@@ -165,7 +165,7 @@ def _peer(config_dir: Path, config: VisionConfig, made: Sequence) -> _Peer:
         return _NO_PEER
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
-        _write(path, made.told)
+        _write(path, made.stated)
         camera: CameraCalibration = read_calibration(path, made.pairs[0])
     found = orb_slam3.follow_apart(camera, _words(config_dir), made.pairs)
     off, worst = gross([(pose.frame_id, pose.X_C0C) for pose in found.poses], made.X_C0C)

@@ -62,15 +62,15 @@ def open_sequence(name: str, seed: int, count: int) -> Sequence:
     """``count`` pairs of kind ``name``, as ``seed`` draws them."""
     kind, rng = OPEN_KINDS[name], np.random.default_rng((0x0E0, seed, crc32(name.encode())))
     world, X_WC = kind.drawn(rng, count, kind.lens)
-    told = _stated_camera(kind.lens)
+    stated = _stated_camera(kind.lens)
     off = rng.uniform(-1.0, 1.0, 2) * (DISPARITY_PX, ROWS_PX)
-    true = intrinsics.with_offset(_camera(told), float(off[0]), float(off[1]))
+    true = intrinsics.with_offset(_camera(stated), float(off[0]), float(off[1]))
     caster, pairs = RayCaster(world), []
     for k, X in enumerate(X_WC):
         grey = caster.pictures(true, X, k / kind.lens.rate_hz)
         left, right = (noisy(one, _NOISE_GREY, rng) for one in grey)
         pairs.append(StereoPair(left, right, round(k * 1e9 / kind.lens.rate_hz), k))
-    return Sequence(pairs, np.stack([se3.inverse(X_WC[0]) @ X for X in X_WC]), told)
+    return Sequence(pairs, np.stack([se3.inverse(X_WC[0]) @ X for X in X_WC]), stated)
 
 
 def _stated_camera(lens: PairLens) -> RectifiedPairSettings:
@@ -80,10 +80,10 @@ def _stated_camera(lens: PairLens) -> RectifiedPairSettings:
     )  # fmt: skip
 
 
-def _camera(told: RectifiedPairSettings) -> CameraCalibration:
-    eye = EyeSettings(fx_px=told.fx_px, fy_px=told.fy_px, cx_px=told.cx_px, cy_px=told.cy_px)
-    pair = PinholePair(left=eye, right=eye, baseline_m=told.baseline_m)
-    size = {"width_px": told.width_px, "height_px": told.height_px}
+def _camera(stated: RectifiedPairSettings) -> CameraCalibration:
+    eye = EyeSettings(fx_px=stated.fx_px, fy_px=stated.fy_px, cx_px=stated.cx_px, cy_px=stated.cy_px)
+    pair = PinholePair(left=eye, right=eye, baseline_m=stated.baseline_m)
+    size = {"width_px": stated.width_px, "height_px": stated.height_px}
     return intrinsics.calibration(
         CameraSettings.model_validate(size | {"stale_ms": 1e3, "frozen_frames": 0, "calibration": pair})
     )

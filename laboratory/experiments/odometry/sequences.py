@@ -54,7 +54,7 @@ class Sequence(NamedTuple):
 
     pairs: list[StereoPair]
     X_C0C: Array
-    told: RectifiedPairSettings
+    stated: RectifiedPairSettings
     arm: dict[int, Array] = {}  # noqa: RUF012
 
 
@@ -226,10 +226,10 @@ def sequence(config_dir: Any, name: str, seed: int, count: int) -> Sequence:
     camera = StereoCamera(config.camera, scene, seed)
     kept = [k for k in range(count + gone) if not count // 2 <= k < count // 2 + gone]
     pairs = list(_render(kind, camera, scene, drawn, kept))
-    told = _stated_camera(kind, rng)
+    stated = _stated_camera(kind, rng)
     X_BT = _state(drawn.X_C0C, rng)
     arm = {number: X_BT[k] for number, k in enumerate(kept)} if kind.arm else {}
-    return Sequence(pairs, drawn.X_C0C[kept], told, arm)
+    return Sequence(pairs, drawn.X_C0C[kept], stated, arm)
 
 
 def _state(X_C0C: Array, rng: np.random.Generator) -> Array:

@@ -259,6 +259,6 @@ def _text(measured: JSON, first_seed: int, runs: int) -> str:
     for condition, parts in measured.items():
         lines.append(f"{condition}:")
         for part, values in parts.items():
-            told = ", ".join(f"{name}: {value}" for name, value in values.items())
-            lines.append(f"  {part}: {{{told}}} # [M]")
+            pairs = ", ".join(f"{name}: {value}" for name, value in values.items())
+            lines.append(f"  {part}: {{{pairs}}} # [M]")
     return "\n".join(lines) + "\n"

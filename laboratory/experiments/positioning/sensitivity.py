@@ -69,9 +69,9 @@ def sensitivity_tasks(request: CampaignRequest, settings: SensitivitySettings) -
         for seed in seeds(request)
         for source in ("A", "B", *sources)
     ]
-    told = f"{request.runs} samples of {len(sources) + 2} runs: {len(tasks)} runs, about"
+    cost = f"{request.runs} samples of {len(sources) + 2} runs: {len(tasks)} runs, about"
     hours = len(tasks) * _RUN_S / 3600.0
-    out.print(f"{told} {hours:.1f} h of one core", style="dim", highlight=False)
+    out.print(f"{cost} {hours:.1f} h of one core", style="dim", highlight=False)
     return tasks
 
 

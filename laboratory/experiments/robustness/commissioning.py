@@ -1,4 +1,4 @@
-"""Commissioning on drawn machines: what was found against what was drawn, and whether the σ told is true."""
+"""Commissioning on drawn machines: what was found against what was drawn, and whether σ is honest."""
 
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -50,7 +50,7 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
     overrides = draw(config_dir, seed, arm, WORLDS[WorldName.LAB]).overrides  # a wall before the camera
     usual = load_settings(config_dir, overrides)
     valves = {name: _drawn_valve(rng, kind) for name in JOINT_NAMES}
-    told = {"name": kind, "pressure_compensated": kind == "mobile"}
+    plates = {"name": kind, "pressure_compensated": kind == "mobile"}
     own = {
         "plant": {
             "valve_set": kind,
@@ -61,7 +61,7 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
             },
             "payload": {"mass_kg": rng.uniform(0.0, 10.0)},
         },
-        "controller": {"valves": told},
+        "controller": {"valves": plates},
     }
     for axis in _AXES:
         own = merged(own, axis.draw(rng, usual))
@@ -112,9 +112,9 @@ def _true_rim(edges: tuple[float, float], found: EdgeFindings) -> float:
 
 
 class CommissioningRow(NamedTuple):
-    """One joint of one machine; errors in per cent of the truth or of full spool, ``z`` over the σ told.
+    """One joint of one machine; errors in per cent of the truth or of full spool, ``z`` over σ.
 
-    ``by_outlet``: of how many senses the load ran ahead. ``play_resolved``: 1 where play was told to 20 %.
+    ``by_outlet``: of how many senses the load ran ahead. ``play_resolved``: 1 where it is reported to 20 %.
     """
 
     failure: str
@@ -227,7 +227,7 @@ def commissioning_table(done: FoundJoints) -> list[Table]:
     lines = [(arm, kind, *_line(rows)) for arm, kind, rows in groups if rows]
     headings = (
         "arm", "valves", "joints", "deadband, median %", "worst %", "NEES", "hysteresis, median %", "NEES",
-        "play, median %", "within 20 %", "told to 20 %", "NEES", "delay, median ms", "NEES", "s a joint",
+        "play, median %", "within 20 %", "reported to 20 %", "NEES", "delay, median ms", "NEES", "s a joint",
     )  # fmt: skip
     failed = [(f"{row.failure[:100]}",) for row in done.rows if row.failure]
     shown = [table("commissioning against what was drawn", headings, lines)]
@@ -262,9 +262,9 @@ def _edges(rows: list[CommissioningRow]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _resolved_right(rows: list[CommissioningRow]) -> float:
-    """The share of plays told to 20 % (by 2 σ: 95 of 100) that are so; 0 when none is."""
-    told = [abs(row.play_percent) <= 100.0 * PLAY_LIMIT for row in rows if row.play_resolved]
-    return float(np.mean(told)) if told else 0.0
+    """The share of plays reported to 20 % (by 2 σ: 95 of 100) that are so; 0 when none is."""
+    right = [abs(row.play_percent) <= 100.0 * PLAY_LIMIT for row in rows if row.play_resolved]
+    return float(np.mean(right)) if right else 0.0
 
 
 def _nees(z: list[float]) -> float:
@@ -272,14 +272,14 @@ def _nees(z: list[float]) -> float:
 
 
 def commissioning_verdict(done: FoundJoints) -> list[Check]:
-    """Deadbands within 5 %, play within 20 %, spreads told inside their bands, under 15 minutes."""
+    """Deadbands within 5 %, play within 20 %, reported spreads inside their bands, under 15 minutes."""
     rows = [row for row in done.rows if not row.failure]
     if not rows:
         return [at_least("joints that were found", 0.0, 1.0)]
     errors, z = _edges(rows)
     play = np.abs([row.play_percent for row in rows])
     minutes = len(JOINT_NAMES) * float(np.mean([row.arm_s for row in rows])) / 60.0
-    told = {
+    z_of = {
         "deadbands": z.tolist(),
         "hysteresis": [row.hysteresis_z for row in rows],
         "play": [row.play_z for row in rows],
@@ -289,8 +289,8 @@ def commissioning_verdict(done: FoundJoints) -> list[Check]:
         at_most("joints that failed", float(len(done.rows) - len(rows)), 0.0),
         at_least("deadbands within 5 % of the truth", float(np.mean(np.abs(errors) <= 5.0)), 1.0),
         at_least("plays within 20 % of the truth", float(np.mean(play <= 100.0 * PLAY_LIMIT)), 1.0),
-        at_least("… of those that are told to 20 %", _resolved_right(rows), 0.95),
-        *(inside(f"NEES of {name}", _nees(values), _band(len(values))) for name, values in told.items()),
+        at_least("… of those that are reported to 20 %", _resolved_right(rows), 0.95),
+        *(inside(f"NEES of {name}", _nees(values), _band(len(values))) for name, values in z_of.items()),
         at_most("arm time for six joints, mean", minutes, MINUTES_LIMIT, "min"),
     ]
 

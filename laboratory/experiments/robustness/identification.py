@@ -90,9 +90,9 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     data["step_ms"] = FINE_STEP_MS
     true_plant, overlap = PlantConfig.model_validate(data), widest_overlap(file)
     machine = _MACHINE._replace(valve_set=task["valve_set"])
-    told = record(true_plant, machine, standard(overlap), held_out(overlap), task["seed"])
-    found = identify(file, told, check_recording(told, machine))
-    signals = validate(found, told)
+    recording = record(true_plant, machine, standard(overlap), held_out(overlap), task["seed"])
+    found = identify(file, recording, check_recording(recording, machine))
+    signals = validate(found, recording)
     check_believable(found, signals)
     check_noise(signals)
     angles = [signal for signal in signals if signal.signal.endswith("angle")]

@@ -1,4 +1,4 @@
-"""The odometry matrix: what counts as wrong and not told, what a kind is made of, and one row of it."""
+"""The odometry matrix: what counts as overconfident errors, what a kind is made of, and one row of it."""
 
 from pathlib import Path
 
@@ -116,7 +116,7 @@ def test_real_pictures_of_a_board_that_moves_are_lost_rather_than_wrong() -> Non
     nothing tells which the world is: a map of both is withdrawn.
     """
     made = real_sequence("real_twice")
-    assert (len(made.pairs), made.told.width_px) == (25, 640)
+    assert (len(made.pairs), made.stated.width_px) == (25, 640)
     for name in ("real_twice", "real_rest"):
         row = one_row(CONFIGS, {"kind": name, "seed": 0, "peer": False})
         assert (row.wrong, row.gross) == (0, 0), name
@@ -126,7 +126,7 @@ def test_real_pictures_of_a_board_that_moves_are_lost_rather_than_wrong() -> Non
 def test_a_row_is_right_within_what_it_tells() -> None:
     row = one_row(CONFIGS, {"kind": "wall", "seed": 1, "pairs": 6, "peer": False})
     assert (row.located, row.wrong, row.gross, row.losses) == (6, 0, 0, "")
-    assert row.worst_mm < 3.0 * row.told_mm + 1.0
+    assert row.worst_mm < 3.0 * row.predicted_mm + 1.0
     assert np.isnan(row.peer_located)
 
 
@@ -149,7 +149,7 @@ def test_tasks_and_verdict_name_every_kind() -> None:
     assert all(c.met is not False for c in _checks([good, useless]))
     moved = good._replace(kind="real_rest", seed=0, wrong=1)
     assert [c.what for c in _checks([good, moved]) if c.met is False] == [
-        "real: wrong and not told, of 40 pairs"
+        "real: overconfident errors, of 40 pairs"
     ]
     on_a_road = good._replace(kind="road", peer_ate_mm=2.0)
     assert all(c.met is not False for c in _checks([good, on_a_road]))

@@ -30,7 +30,7 @@ def road() -> Sequence:
 
 def known(made: Sequence) -> CameraCalibration:
     """What is told of the camera."""
-    told = made.told
+    told = made.stated
     K = np.array([[told.fx_px, 0.0, told.cx_px], [0.0, told.fy_px, told.cy_px], [0.0, 0.0, 1.0]])
     config = load(VisionConfig, CONFIGS / "vision.yaml")
     given = intrinsics.calibration(config.camera)
@@ -50,7 +50,7 @@ def test_a_rectangle_is_where_the_pinhole_has_it() -> None:
     """A square of 2 m, 10 m ahead, is 2 f / 10 px wide, and its right view the disparity farther left."""
     texture = np.stack([rough_texture(np.random.default_rng(1), 5.0, 60.0)])
     square = Rectangle((-1.0, -1.0, 10.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), 0, 0.01)
-    camera = known(Sequence([], np.zeros((0, 4, 4)), open_sequence("road", 8901, 1).told))
+    camera = known(Sequence([], np.zeros((0, 4, 4)), open_sequence("road", 8901, 1).stated))
     left, right = RayCaster(CastWorld([square], texture, 200.0)).pictures(camera, se3.identity())
     for grey, shift in ((left, 0.0), (right, CAR.f_px * CAR.baseline_m / 10.0)):
         rows, columns = np.nonzero(grey < 150.0)
