@@ -19,7 +19,14 @@ from plant_emulator.core.faults.orders import FaultOrder
 from protocol.errors import ConfigurationError, LinkLost, LongreachError, MeasurementFailed
 from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
 from testbed.commissioning.ramp_rows import Uncertain, smoothed_speed
-from testbed.commissioning.recording import JointRecording, strokes_in
+from testbed.commissioning.recording import (
+    CommissioningSession,
+    JointRecording,
+    ToldNumber,
+    TrialsTold,
+    strokes_in,
+    trials_told,
+)
 from testbed.commissioning.runs import (
     Excited,
     LiveController,
@@ -28,7 +35,6 @@ from testbed.commissioning.runs import (
     take_finished,
     with_excitation,
 )
-from testbed.commissioning.session import CommissioningSession, ToldNumber, TrialsTold, trials_told
 from testbed.commissioning.valve_fit import EdgeFindings
 from testbed.lockstep.clock import RunLog
 from testbed.lockstep.simulated_measurements import eyes_with, load_eye_model, simulated_sight

@@ -21,8 +21,7 @@ from nominal_arm.commissioned import (
 from nominal_arm.description import JOINT_NAMES, NominalArm
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.ramp_rows import FrictionFindings, Uncertain, friction_findings, midway
-from testbed.commissioning.recording import JointRecording, strokes_in
-from testbed.commissioning.session import TrialsTold
+from testbed.commissioning.recording import JointRecording, TrialsTold, strokes_in
 from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
 from vision_pc.core.calibration.joint_motion import JointSeen
 from vision_pc.core.calibration.joint_play import PlayFound, joint_play, mean_delay

@@ -21,8 +21,8 @@ from nominal_arm.commissioned import Commissioned
 from protocol.errors import ConfigurationError, LongreachError
 from protocol.faults import CommandCode
 from testbed.commissioning.command import CommissionRequest, run_commission
+from testbed.commissioning.recording import trials_told
 from testbed.commissioning.runs import LiveController, excite_live, read_trial, with_excitation
-from testbed.commissioning.session import trials_told
 from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import World
 from testbed.realtime.live_client import LiveClient
