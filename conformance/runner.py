@@ -19,9 +19,9 @@ _COUPLER_MODULES = (
 )  # fmt: skip
 _MODULES = (
     "framing", "sessions", "handshake", "order", "requests", "motion", "endings", "streaming",
-    "authentication", "answers", "datagrams.sent", "datagrams.refusals", "datagrams.drops",
-    "datagrams.clocks", "arm.transitions", "arm.state_truth", "arm.state_scan", "arm.motion_times",
-    "arm.stream_times", "arm.stream_following",
+    "authentication", "answers", "datagrams_sent", "datagram_refusals", "datagram_drops",
+    "datagram_clocks", "arm_transitions", "arm_state_truth", "arm_state_scan", "arm_motion_times",
+    "arm_stream_times", "arm_stream_following",
 )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from conformance.case import reference
 from conformance.peer import Peer
-from conformance.reference.arm.transitions import entered, is_ramping
+from conformance.reference.arm_transitions import entered, is_ramping
 from conformance.reference.motion import disabled, expect_reason, reach, require_reason
 from conformance.reference.streaming import BOTH
 from conformance.wire import MS, require

@@ -6,7 +6,7 @@ from itertools import chain
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY
-from conformance.reference.datagrams.refusals import MAGIC_BIT
+from conformance.reference.datagram_refusals import MAGIC_BIT
 from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
 from conformance.reference.handshake import SLACK_MS, granted
 from conformance.wire import MS, SEQUENCES, Failed, require, resealed, with_bit_flipped

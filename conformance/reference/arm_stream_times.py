@@ -11,8 +11,8 @@ from typing import Any
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.state_truth import StateWatch, Watched, turned
-from conformance.reference.arm.transitions import entered, opened_stream
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_transitions import entered, opened_stream
 from conformance.reference.motion import moved, reach, require_reason, scaled
 from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream
 from conformance.wire import MS, require

@@ -6,7 +6,7 @@ from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY, opened, signed
 from conformance.reference.authentication import case as key_case
-from conformance.reference.datagrams.clocks import WINDOW, tallies
+from conformance.reference.datagram_clocks import WINDOW, tallies
 from conformance.reference.framing import MAJOR, SPARE, refused, stop
 from conformance.reference.handshake import granted, require_begun
 from conformance.wire import ANSWER_MS, MS, require, resealed, with_bit_flipped

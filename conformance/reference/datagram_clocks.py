@@ -2,7 +2,7 @@
 
 from conformance.case import reference
 from conformance.peer import Peer
-from conformance.reference.datagrams.drops import dropped
+from conformance.reference.datagram_drops import dropped
 from conformance.reference.framing import stop
 from conformance.reference.handshake import SLACK_MS
 from conformance.reference.order import used

@@ -11,8 +11,8 @@ from itertools import pairwise
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.state_truth import StateWatch, Watched
-from conformance.reference.arm.transitions import entered, opened_stream
+from conformance.reference.arm_state_truth import StateWatch, Watched
+from conformance.reference.arm_transitions import entered, opened_stream
 from conformance.reference.framing import stop
 from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, require_reason
 from conformance.reference.streaming import BOTH, FEED_MS

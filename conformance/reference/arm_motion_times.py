@@ -10,8 +10,8 @@ from itertools import pairwise
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.state_truth import StateWatch, Watched, turned
-from conformance.reference.arm.transitions import entered
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import expect_reason, moved, require_reason
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode

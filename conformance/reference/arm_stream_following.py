@@ -10,8 +10,8 @@ from typing import NamedTuple
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm.state_truth import StateWatch, Watched, angle_between, turned_in_base
-from conformance.reference.arm.transitions import entered, opened_stream
+from conformance.reference.arm_state_truth import StateWatch, Watched, angle_between, turned_in_base
+from conformance.reference.arm_transitions import entered, opened_stream
 from conformance.reference.motion import moved, reach, require_reason
 from conformance.reference.streaming import NUMBERS, Stream
 from conformance.wire import MS, Unsupported, require
