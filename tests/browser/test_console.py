@@ -6,7 +6,6 @@ processor takes a core.
 
 import contextlib
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -15,7 +14,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note, reach
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note, reach
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
 
@@ -25,12 +24,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
 LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 def slip(page: Page) -> None:

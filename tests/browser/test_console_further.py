@@ -3,7 +3,6 @@ are no use.
 """
 
 import re
-from collections.abc import Iterator
 
 import httpx
 import numpy as np
@@ -12,7 +11,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note
 from tests.browser.open_console import eventually, opened
 from tests.vision_pc.shell.rest_server import served_bench
 from vision_pc.core.targets.keeper import KeptTarget
@@ -25,12 +24,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
 LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 class NearEmulator:
