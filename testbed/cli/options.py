@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from foundation.command_options import usual_configs
-from testbed.hand_eye.pose_text import PoseForm
+from testbed.hand_eye.pose_forms import PoseForm
 from testbed.reporting.console import writable
 from vision_pc.config.choices import Setup
 

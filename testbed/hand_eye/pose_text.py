@@ -5,31 +5,16 @@ What is not to be believed is refused with its place.
 
 import math
 import re
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from protocol.errors import RequestRefused
+from testbed.hand_eye.pose_forms import PoseForm
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
-
-
-class PoseForm(StrEnum):
-    """How a line of the file gives a pose; angles of Euler and KUKA are degrees."""
-
-    QUATERNION_XYZW = "xyzw"
-    QUATERNION_WXYZ = "wxyz"
-    EULER = "euler"
-    MATRIX = "matrix"
-    UR = "ur"
-    KUKA = "kuka"
-    ABB = "abb"
-    FRANKA = "franka"
-    TUM = "tum"
-
 
 _NORM_TOLERANCE = 0.02
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}

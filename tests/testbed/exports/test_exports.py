@@ -16,8 +16,7 @@ from plant_emulator.core.mechanics.geometry import build_chain
 from plant_emulator.core.mechanics.multibody import forward_dynamics, forward_kinematics, multibody_work
 from plant_emulator.core.model import build_model, put_payload
 from testbed.cli.main import app
-from testbed.exports.arm_tree import ArmTree, nominal_tree, true_tree
-from testbed.exports.command import mjcf, roll_pitch_yaw, urdf
+from testbed.exports.arm_tree import ArmTree, mjcf, nominal_tree, roll_pitch_yaw, true_tree, urdf
 from tests.support.paths import CONFIGS
 from tests.testbed.exports.readers import READERS, MujocoReader, PinocchioReader
 from vision_pc.core.se3 import Array, exp_so3, transform

@@ -13,7 +13,8 @@ from protocol.errors import RequestRefused
 from testbed.cli.main import app
 from testbed.hand_eye.importer import load
 from testbed.hand_eye.picture_samples import matched
-from testbed.hand_eye.pose_text import PoseForm, RobotPoses, read_robot_poses
+from testbed.hand_eye.pose_forms import PoseForm
+from testbed.hand_eye.pose_text import RobotPoses, read_robot_poses
 from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
