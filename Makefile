@@ -124,7 +124,7 @@ experiments: $(DEV_STAMP)  ## long, seeded experiments
 docs: $(DEV_STAMP)  ## the pages as a site with references from the code, examined: dist/site/index.html
 	rm -rf dist/site
 	$(BIN)/python -m sphinx -W --keep-going -q -j $(PROCESSES) -d dist/site-read -c docs . dist/site
-	$(BIN)/python -m tools.site.examine dist/site
+	$(BIN)/python -m tools.site.extension dist/site
 
 lint: $(DEV_STAMP)  ## ruff
 	$(BIN)/ruff check .

@@ -12,13 +12,18 @@ from rich.progress import Progress
 from rich.table import Table
 
 from conformance.case import CaseOutcome, ConformanceCase, Result, Summary
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.parts import BASE, OptionalPart, profile_from
-from conformance.records import as_json, transcript, write_records
+from conformance.records import (
+    COUPLER_STEPS,
+    REFERENCE_STEPS,
+    FirstHourStep,
+    as_json,
+    transcript,
+    write_records,
+)
 from conformance.runner import Manner, chosen, coupler_cases, reference_cases, run_coupler, run_reference
 from foundation.command_options import unfolded
-from foundation.ports import known_host
-from foundation.secret_source import key_from_file
+from foundation.secret_source import key_from_file, known_host
 from protocol.errors import ConfigurationError
 
 SHOWN_AT_ONCE = (CaseOutcome.FAIL, CaseOutcome.FLAKY)
@@ -152,16 +157,16 @@ def reference(
         print_cases(chosen(reference_cases(), None, steps))
         return
     known_host(host)
-    wanted = _wanted(asking.case, reference_cases())
+    picked = _case_numbers(asking.case, reference_cases())
     link_key = None if key is None else key_from_file(key)
     manner = asking.manner()
 
     def run(show: Callable[[Result], None]) -> Summary:
         return run_reference(
-            host, port, numbers=wanted, motion=motion, seed=seed, key=link_key, manner=manner, on_result=show
+            host, port, numbers=picked, motion=motion, seed=seed, key=link_key, manner=manner, on_result=show
         )
 
-    _finish(len(chosen(reference_cases(), wanted, steps)), run, asking, steps)
+    _finish(len(chosen(reference_cases(), picked, steps)), run, asking, steps)
 
 
 @app.command(epilog="Example: longreach conformance coupler --host 127.0.0.1 --port 1502 --outputs")
@@ -184,23 +189,23 @@ def coupler(
         print_cases(chosen(coupler_cases(), None, steps))
         return
     known_host(host)
-    wanted = _wanted(asking.case, coupler_cases())
+    picked = _case_numbers(asking.case, coupler_cases())
     manner = asking.manner()
 
     def run(show: Callable[[Result], None]) -> Summary:
         return run_coupler(
-            host, port, unit=unit, numbers=wanted, outputs=outputs, manner=manner, on_result=show
+            host, port, unit=unit, numbers=picked, outputs=outputs, manner=manner, on_result=show
         )
 
-    _finish(len(chosen(coupler_cases(), wanted, steps)), run, asking, steps)
+    _finish(len(chosen(coupler_cases(), picked, steps)), run, asking, steps)
 
 
-def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
+def _case_numbers(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
     numbers = {case.number for case in cases}
-    wanted = set(chosen) if chosen else numbers
-    if wanted - numbers:
-        raise ConfigurationError("conformance.unknown_case", f"--case {min(wanted - numbers)}: see --list")
-    return wanted
+    picked = set(chosen) if chosen else numbers
+    if picked - numbers:
+        raise ConfigurationError("conformance.unknown_case", f"--case {min(picked - numbers)}: see --list")
+    return picked
 
 
 def _finish(

@@ -20,14 +20,6 @@ class OptionalPart(Enum):
     OUTPUTS = "outputs"
 
 
-PART_TEXTS = {
-    OptionalPart.PATHS: "REFERENCE_PATH (6.8)",
-    OptionalPart.STREAMING: "streamed references (clause 12)",
-    OptionalPart.AUTHENTICATION: "signed sessions (clause 11); claims key-refusal too",
-    OptionalPart.KEY_REFUSAL: "without a key, a signed HELLO is answered with KEY_NOT_CONFIGURED (11.2)",
-    OptionalPart.MOTION: "the group can be enabled, and moves (clause 7)",
-    OptionalPart.OUTPUTS: "the coupler has outputs (process_image.md, clauses 4 and 5)",
-}
 BASE = "base"
 
 

@@ -53,7 +53,7 @@ class Peer(Wire):
             self.alive("the first heartbeat")  # with it the session begins (4.2)
             return answer
         if answer is not None:
-            _refused(answer)
+            _require_retry(answer)
         raise NoAnswer(f"no session within {SESSION_MS} ms")
 
     def greeted(self, hello: Hello, wait_ms: int, minor: int = 0) -> Welcome | Reason | None:
@@ -132,7 +132,7 @@ class Peer(Wire):
         return self.expect(State, why, 1000)
 
 
-def _refused(reason: Reason) -> None:
+def _require_retry(reason: Reason) -> None:
     """Return if HELLO is to be sent again; else raise Unsupported or Failed."""
     if reason is Reason.NOT_AUTHENTICATED:
         raise Unsupported("the controller demands authentication: --key")

@@ -6,8 +6,8 @@ from importlib import import_module
 from typing import NamedTuple
 
 from conformance.case import Attempt, CaseOutcome, ConformanceCase, Result, Summary, coupler, reference
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.parts import OptionalPart, Profile
+from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.subjects import NOTHING_FOUND, ControllerSubject, CouplerSubject, LatenessWatch, Subject
 from conformance.wire import Failed, NonceSource, Unsupported
 from protocol.authentication import LinkKey
@@ -19,16 +19,16 @@ _COUPLER_MODULES = (
 )  # fmt: skip
 _MODULES = (
     "framing", "sessions", "handshake", "order", "requests", "motion", "endings", "streaming",
-    "authentication", "answers", "datagrams.sent", "datagrams.refusals", "datagrams.drops",
-    "datagrams.clocks", "arm.transitions", "arm.state_truth", "arm.state_scan", "arm.motion_times",
-    "arm.stream_times", "arm.stream_following",
+    "authentication", "answers", "datagrams_sent", "datagram_refusals", "datagram_drops",
+    "datagram_clocks", "arm_transitions", "arm_state_truth", "arm_state_scan", "arm_motion_times",
+    "arm_stream_times", "arm_stream_following",
 )  # fmt: skip
 
 
 class Manner(NamedTuple):
     """How the cases are asked. ``profile`` None: nothing is claimed, and everything asked for.
 
-    ``first_hour``: in the order of ``conformance.first_hour``, up to the first failure.
+    ``first_hour``: in the order of ``conformance.records``, up to the first failure.
     """
 
     profile: Profile | None = None
@@ -85,7 +85,7 @@ def run_reference(
     """
     nonces = NonceSource(seed or time.time_ns())
     cases = chosen(reference_cases(), numbers, REFERENCE_STEPS if manner.first_hour else None)
-    return _asked(ControllerSubject(host, port, nonces, key, motion), cases, manner, on_result)
+    return _run_cases(ControllerSubject(host, port, nonces, key, motion), cases, manner, on_result)
 
 
 def run_coupler(
@@ -104,10 +104,10 @@ def run_coupler(
     without it they count as unsupported. ``on_result`` is called after every case.
     """
     cases = chosen(coupler_cases(), numbers, COUPLER_STEPS if manner.first_hour else None)
-    return _asked(CouplerSubject(host, port, unit, outputs), cases, manner, on_result)
+    return _run_cases(CouplerSubject(host, port, unit, outputs), cases, manner, on_result)
 
 
-def _asked(
+def _run_cases(
     subject: Subject, cases: tuple[ConformanceCase, ...], manner: Manner, on_result: Callable[[Result], None]
 ) -> Summary:
     results: list[Result] = []
@@ -158,7 +158,7 @@ class _Asking:
 
     def result(self, case: ConformanceCase) -> Result:
         """What comes of ``case``."""
-        why = self._unasked(case)
+        why = self._reason_not_to_ask(case)
         if why is not None:
             return Result(case, *why)
         first = self._attempt(case)
@@ -177,7 +177,7 @@ class _Asking:
             return Result(case, CaseOutcome.FAIL, first.detail, both)
         return Result(case, again.outcome, again.detail, both)
 
-    def _unasked(self, case: ConformanceCase) -> tuple[CaseOutcome, str] | None:
+    def _reason_not_to_ask(self, case: ConformanceCase) -> tuple[CaseOutcome, str] | None:
         """Outcome and reason of a case that need not be asked, or None."""
         for part in sorted(case.needs, key=lambda part: part.value):
             if self._profile is not None and part not in self._profile.claims:

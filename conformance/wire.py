@@ -2,17 +2,59 @@
 
 import select
 import socket
+import struct
 import time
 from typing import NamedTuple, TypeVar
+from zlib import crc32
 
-from conformance.bytes_of import resealed, with_number, with_payload_of
 from conformance.parts import OptionalPart
 from protocol.authentication import ChannelKeys, DirectionKey, LinkKey, fault_of
 from protocol.datagram import Datagram, Header, decode, encode
-from protocol.datagram_layout import MAX_DATAGRAM_BYTES
+from protocol.datagram_layout import (
+    CRC_BYTES,
+    CRC_OFFSET,
+    HEADER_BYTES,
+    MAX_DATAGRAM_BYTES,
+    TAG_BYTES,
+    TRAILER_BYTES,
+)
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
 from protocol.reference_messages import CAPABILITY_AUTHENTICATION, Bye, Heartbeat, Message, Welcome
+
+LENGTH = 10
+_AFTER_CRC = CRC_OFFSET + CRC_BYTES
+
+
+def resealed(data: bytes, key: DirectionKey | None = None) -> bytes:
+    """``data`` with its CRC, and with a ``key`` its tag, made right, to reach the checks behind them."""
+    if key is not None and len(data) >= HEADER_BYTES + TRAILER_BYTES:
+        data = data[:-TAG_BYTES] + key.tag(data[:-TAG_BYTES])
+    checksum = crc32(data[_AFTER_CRC:], crc32(data[:CRC_OFFSET]))
+    return data[:CRC_OFFSET] + struct.pack("<I", checksum) + data[_AFTER_CRC:]
+
+
+def with_number(data: bytes, offset: int, code: str, value: float, key: DirectionKey | None = None) -> bytes:
+    """``data`` with one number replaced and its CRC and tag made right."""
+    bent = bytearray(data)
+    struct.pack_into("<" + code, bent, offset, value)
+    return resealed(bytes(bent), key)
+
+
+def with_payload_of(data: bytes, size: int, key: DirectionKey | None = None) -> bytes:
+    """``data`` with a payload of ``size`` bytes, cut or filled up with zeros, and all else made to match."""
+    end = len(data) - (TRAILER_BYTES if key else 0)
+    payload, trailer = data[HEADER_BYTES:end], data[end:]
+    resized = data[:HEADER_BYTES] + payload[:size].ljust(size, b"\0") + trailer
+    return with_number(resized, LENGTH, "H", size, key)
+
+
+def with_bit_flipped(data: bytes, bit: int) -> bytes:
+    """``data`` with one bit flipped and nothing else."""
+    bent = bytearray(data)
+    bent[bit // 8] ^= 1 << bit % 8
+    return bytes(bent)
+
 
 MS = 1_000_000
 ANSWER_MS = 400
@@ -230,11 +272,11 @@ class Wire:
             wake_ns = min(left_ns, self._heartbeat_ns - self.now_ns) if beating and self.session else left_ns
             ready, _, _ = select.select([self._socket], [], [], max(wake_ns, 0) / 1e9)
             if ready:
-                return self._read()
+                return self._read_datagram()
             if self.now_ns >= until_ns:
                 return None
 
-    def _read(self) -> Datagram | None:
+    def _read_datagram(self) -> Datagram | None:
         try:
             data = self._socket.recv(65_535)
         except ConnectionRefusedError as error:

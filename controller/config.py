@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel, or_its_file
-from foundation.live.settings import LiveSettings
+from foundation.live import LiveSettings
 from foundation.secret_source import SecretSource
 from nominal_arm.commissioned import Commissioned, ValveSet
 

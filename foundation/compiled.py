@@ -67,8 +67,8 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
     repeats bit for bit.
     """
     if function is None:
-        return lambda function: _compiled(function, options)
-    return _compiled(function, options)
+        return lambda function: _compile(function, options)
+    return _compile(function, options)
 
 
 @overload
@@ -115,27 +115,27 @@ def fused(a: float, b: float, c: float) -> float:
         return a * b + c
 
 
-def _typed(context: Any, a: Any, b: Any, c: Any) -> tuple[Any, Callable[..., Any]]:
+def _fused_typing(context: Any, a: Any, b: Any, c: Any) -> tuple[Any, Callable[..., Any]]:
     def lowered(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return builder.fma(*values)
 
     return types.float64(types.float64, types.float64, types.float64), lowered
 
 
-_fused: Any = intrinsic(_typed)
+_fused: Any = intrinsic(_fused_typing)
 compiled_as(fused)(lambda a, b, c: lambda a, b, c: _fused(a, b, c))
 
 
-def _compiled(function: Any, options: dict[str, Any]) -> Any:
+def _compile(function: Any, options: dict[str, Any]) -> Any:
     """Return ``function`` compiled with ``options``, its cache keyed by the sources that it can see."""
     dispatcher = numba.njit(**options)(function)
     if hasattr(dispatcher, "enable_caching"):  # not when NUMBA_DISABLE_JIT leaves plain Python
         dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
-        dispatcher._compile_for_args = _uninterrupted(dispatcher._compile_for_args)
+        dispatcher._compile_for_args = _without_interrupts(dispatcher._compile_for_args)
     return dispatcher
 
 
-def _uninterrupted(compile_for_args: Callable[..., Any]) -> Callable[..., Any]:
+def _without_interrupts(compile_for_args: Callable[..., Any]) -> Callable[..., Any]:
     """The method that the native dispatcher calls for new types of arguments, safe from Ctrl-C."""
 
     def compiled(*arguments: Any, **named: Any) -> Any:
@@ -178,10 +178,10 @@ class _Module(NamedTuple):
 def _module(path: Path, name: str) -> _Module:
     text = path.read_bytes()
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    return _Module(hashlib.sha256(text).digest(), tuple(_imported(ast.parse(text), package)))
+    return _Module(hashlib.sha256(text).digest(), tuple(_imported_names(ast.parse(text), package)))
 
 
-def _imported(tree: ast.AST, package: list[str]) -> Iterator[str]:
+def _imported_names(tree: ast.AST, package: list[str]) -> Iterator[str]:
     """Yield every dotted name that could be an imported module; some are functions or classes."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):

@@ -68,7 +68,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         why = f"{path}: not UTF-8 at byte {error.start}"
         raise ConfigurationError("configuration.not_yaml", why) from error
-    data = _parsed(text, str(path))
+    data = _parse_yaml(text, str(path))
     if not isinstance(data, dict):
         raise ConfigurationError(
             "configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}"
@@ -76,7 +76,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
-def _parsed(text: str, where: str) -> Any:
+def _parse_yaml(text: str, where: str) -> Any:
     try:
         return yaml.load(text, Loader=_UniqueKeyLoader)
     except yaml.YAMLError as error:
@@ -213,7 +213,7 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
         path = [part.strip() for part in dotted.split(".")]
         if not equals or len(path) < 2 or not all(path):
             raise ConfigurationError("configuration.bad_override", f"'{assignment}': wanted FILE.KEY…=VALUE")
-        value = _parsed(text, f"'{assignment}'")
+        value = _parse_yaml(text, f"'{assignment}'")
         below: dict[str, Any] = overrides
         for part in path[:-1]:
             below = below.setdefault(part, {})

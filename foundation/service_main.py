@@ -8,8 +8,10 @@ import importlib.metadata
 import json
 import os
 import signal
+import socket
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -18,8 +20,68 @@ import uvloop
 from foundation.command_options import usual_configs
 from foundation.configuration import merged, parse_overrides
 from foundation.event_log import EventLog, process_log
-from foundation.signs_of_life import signs_of_life
 from protocol.errors import LongreachError
+
+SOCKET, LONGEST_SILENCE = "NOTIFY_SOCKET", "WATCHDOG_USEC"
+_PERIOD_S = 0.5
+_ALIVE = b"WATCHDOG=1"
+
+
+@asynccontextmanager
+async def signs_of_life(environment: Mapping[str, str] = os.environ) -> AsyncIterator[None]:
+    """Give signs of life from the running loop within the block, if somebody asked for them."""
+    address = environment.get(SOCKET)
+    if not address:
+        yield
+        return
+    task = asyncio.get_running_loop().create_task(_keep_telling(address, _period_s(environment)))
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+
+async def _keep_telling(address: str, period_s: float) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as teller:
+        while True:
+            with suppress(OSError):  # who asked may have gone, or be slow: that is no trouble of the service
+                teller.sendto(_ALIVE, "\0" + address[1:] if address.startswith("@") else address)
+            await asyncio.sleep(period_s)
+
+
+def _period_s(environment: Mapping[str, str]) -> float:
+    """Half of the longest silence, as systemd recommends."""
+    longest_us = environment.get(LONGEST_SILENCE, "")
+    return 0.5e-6 * int(longest_us) if longest_us.isdigit() and int(longest_us) else _PERIOD_S
+
+
+class Listener:
+    """The other side: the socket of one service. Silence is counted from when it was made."""
+
+    def __init__(self, name: str, now_ns: int) -> None:
+        """``name``: of an abstract socket: no file is left behind. Raises OSError when it is taken."""
+        self.address = f"@{name}"
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.bind("\0" + name)
+        self._heard_ns = now_ns
+
+    def silence_ns(self, now_ns: int) -> int:
+        """How long nothing has come."""
+        with suppress(OSError):  # nothing there, or closed
+            while self._socket.recv(64):
+                self._heard_ns = now_ns
+        return now_ns - self._heard_ns
+
+    def count_from(self, now_ns: int) -> None:
+        """Count silence from now on: what was before is no stall."""
+        self._heard_ns = now_ns
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
 
 RECORDS = "LONGREACH_RECORDS"
 """The environment's variable for a directory in which every service records, each in one of its own."""
@@ -81,7 +143,7 @@ def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
     try:
         options = _options(program, argv)
         with process_log(program.name) as log, asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(_served(program.make(options, log)))
+            return runner.run(_serve(program.make(options, log)))
     except LongreachError as error:
         print(f"{program.name}: {error.cause}: {error}", file=sys.stderr)
         return _REFUSED
@@ -101,7 +163,7 @@ def _return_large_blocks() -> None:
         mallopt(_M_ARENA_MAX, _HEAPS)
 
 
-async def _served(service: RunnableService) -> int:
+async def _serve(service: RunnableService) -> int:
     async with signs_of_life():
         return await service.run()
 

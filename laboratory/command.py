@@ -11,7 +11,6 @@ import typer
 from foundation.command_options import options_of, unfolded, with_signature
 from laboratory.campaigns.options import ShownExperiment, pinned
 from laboratory.experiments.catalogue import OURS, Entry, catalogue
-from testbed.cli.later import LaterGroup, dressed
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     DEFAULT_RUNS,
@@ -22,6 +21,7 @@ from testbed.cli.options import (
     Settings,
 )
 from testbed.cli.options import Seed as FirstSeed
+from testbed.cli.root import LaterGroup, dressed
 from testbed.reporting.console import out, words, writable, write_json
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
@@ -115,23 +115,25 @@ def command_of(entry: Entry, shown: ShownExperiment) -> Callable[..., None]:
         from testbed.scenarios.arms import arm_directory
 
         method = options.pop("method", None)
-        wanted = entry.load(method)
+        chosen_experiment = entry.load(method)
         if options.get("arm") not in (None, _ALL_ARMS):
             arm_directory(options["config_dir"], options["arm"])  # refused now, not by every run
         seed, workers = options.pop("seed", None), options.pop("workers")
         request = CampaignRequest(
             config_dir=options.pop("config_dir"),
-            runs=options.pop("count", None) or wanted.runs,
-            seed=wanted.seed if seed is None else seed,
-            out=options.pop("out") or wanted.directory,
+            runs=options.pop("count", None) or chosen_experiment.runs,
+            seed=chosen_experiment.seed if seed is None else seed,
+            out=options.pop("out") or chosen_experiment.directory,
             scheduler=options.pop("scheduler"),
-            workers=wanted.workers if workers is None else workers,
+            workers=chosen_experiment.workers if workers is None else workers,
             fresh=options.pop("fresh"),
             json=options.pop("json_file"),
             plot=options.pop("plot"),
         )
-        settings = wanted.settings(**_own(options, shown, wanted.settings._fields, method))
-        raise typer.Exit(0 if perform(wanted, request, settings) else 1)
+        settings = chosen_experiment.settings(
+            **_own(options, shown, chosen_experiment.settings._fields, method)
+        )
+        raise typer.Exit(0 if perform(chosen_experiment, request, settings) else 1)
 
     parameters = [*shown.parameters, *_method(entry), *_common(shown, len(entry.places) == 1)]
     with_signature(command, parameters)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from controller.core.kinematics.denavit_hartenberg import chain, dh_table, geometric_jacobian, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
-from longreach.configured import CONFIGS, Assignments, configured
+from longreach.rigs import CONFIGS, Assignments, configured
 from nominal_arm.description import NominalArm
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant

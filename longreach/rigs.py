@@ -1,23 +1,43 @@
 """Rigs to drive: in simulated time in this process, or a running one over its REST API."""
 
 import contextlib
+import json
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from longreach.configured import CONFIGS, Assignments, configured
+from foundation.command_options import usual_configs
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.errors import LongreachError, RequestRefused
 from testbed.demonstration.sequence import Rig
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.realtime.rest_rig import RestRig
 from testbed.reporting.console import QuietBar
+from testbed.scenarios.arms import arm_directory
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from vision_pc.application.program import Program
 from vision_pc.application.results import JudgedLook
 from vision_pc.shell.installed_programs import every_program
+
+CONFIGS = usual_configs()  # as the command line's --config-dir
+Assignments = Mapping[str, Any]
+"""As ``--set``: ``{"plant.payload.mass_kg": 80}``."""
+
+
+def configured(
+    config_dir: Path | str, arm: str | None, scenario: str | None, seed: int, set: Assignments | None
+) -> Settings:
+    """Every file of ``config_dir``, or of an arm in it, with a scenario's world and the assignments over it.
+
+    Raises ConfigurationError.
+    """
+    assignments = [f"{key}={json.dumps(value)}" for key, value in (set or {}).items()]
+    folder = Path(config_dir) if arm is None else arm_directory(Path(config_dir), arm)
+    return load_settings(folder, chosen_overrides(folder, scenario, seed, assignments))
+
 
 CANCELLED = "refused.cancelled"
 

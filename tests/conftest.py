@@ -6,7 +6,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 
 pytest_plugins = ["tests.support.real_time", "tests.support.time_spent"]

@@ -16,11 +16,10 @@ from plant_emulator.core import layout as col
 from plant_emulator.core.mechanics.geometry import actuator_position
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, ValveImage
-from testbed.lockstep.clock import run
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tools.protocol_page import filled
 from tools.tables import table
 

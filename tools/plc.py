@@ -141,7 +141,7 @@ def _reader(
     header = "F_LR_ReadHeader(aData := aData, stHeader := stData.header)" if first else "TRUE"
     body = [f"xFinite := {header};"]
     for field, offset in zip(layout, offsets(layout), strict=True):
-        body += _read(field, f"{at} + {offset}" if at else str(first + offset))
+        body += _reading_lines(field, f"{at} + {offset}" if at else str(first + offset))
     loops = [f for f in layout if _is_array(f)]
     target = "stHeader" if name == "Header" else "stData"
     parameters = {
@@ -161,7 +161,7 @@ def _loop(count: int, statement: str) -> list[str]:
     return [f"FOR i := 0 TO {count - 1} DO", f"    {statement}", "END_FOR"]
 
 
-def _read(field: Field, at: str) -> list[str]:
+def _reading_lines(field: Field, at: str) -> list[str]:
     name = f"stData.{member_name(field)}"
     if field.code.endswith("s") or field.code == "x":
         return _loop(field.size, f"{name}[i] := aData[{at} + i];")
@@ -180,7 +180,7 @@ def _read(field: Field, at: str) -> list[str]:
     return [f"{name} := F_LR_Get{_ACCESS[field.code]}(aData := aData, nAt := {at});"]
 
 
-def _written(field: Field, at: str) -> list[str]:
+def _writing_lines(field: Field, at: str) -> list[str]:
     name = f"stData.{member_name(field)}"
     if field.code == "x":
         return _loop(field.size, f"aData[{at} + i] := 0;")
@@ -205,7 +205,7 @@ def _written(field: Field, at: str) -> list[str]:
 def _writer_part(name: str, structure: str, layout: tuple[Field, ...]) -> list[str]:
     body = ["xFinite := TRUE;"]
     for field, offset in zip(layout, offsets(layout), strict=True):
-        body += _written(field, f"nAt + {offset}")
+        body += _writing_lines(field, f"nAt + {offset}")
     parameters = {
         "VAR_IN_OUT": ["aData : T_LR_Datagram", f"stData : {structure}"],
         "VAR_INPUT": ["nAt : UINT"],
@@ -224,7 +224,7 @@ def _header_writer() -> list[str]:
         elif field.name in constants:
             body.append(f"aData[{offset}] := {constants[field.name]};")
         elif field.name != "crc32":
-            body += [line.replace("stData.", "stHeader.") for line in _written(field, str(offset))]
+            body += [line.replace("stData.", "stHeader.") for line in _writing_lines(field, str(offset))]
     parameters = {
         "VAR_IN_OUT": ["aData : T_LR_Datagram", "stHeader : ST_LR_Header"],
         "VAR": ["xFinite : BOOL"],
@@ -241,7 +241,7 @@ def _writer(kind: Kind, layout: tuple[Field, ...]) -> list[str]:
         "xFinite := F_LR_WriteHeader(aData := aData, stHeader := stData.header);",
     ]
     for field, offset in zip(layout, offsets(layout), strict=True):
-        body += _written(field, str(HEADER_BYTES + offset))
+        body += _writing_lines(field, str(HEADER_BYTES + offset))
     body += [
         f"stData.header.crc32 := F_LR_DatagramCrc(aData := aData, nBytes := {size});",
         f"xFinite := F_LR_PutUdint(aData := aData, nAt := {crc_at}, nValue := stData.header.crc32)"

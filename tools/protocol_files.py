@@ -26,7 +26,7 @@ from protocol.datagram_layout import (
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from tools import plc
-from tools.coupler_page import word_codes
+from tools.pages import word_codes
 from tools.plc import IEC, IEC_WORDS
 from tools.protocol_page import ROOT
 

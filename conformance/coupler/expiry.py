@@ -1,13 +1,22 @@
 """Cases 886…: what expiry does, and what ends it (clauses 5.4 to 5.6)."""
 
 from conformance.case import coupler
-from conformance.coupler.frames import ADDRESS, FUNCTION, VALUE, count
+from conformance.coupler.frames import (
+    ADDRESS,
+    FUNCTION,
+    LATE_MS,
+    VALUE,
+    count,
+    now_ms,
+    require_expiry,
+    timed,
+    wait,
+)
 from conformance.coupler.limits import BETWEEN, nowhere_requests
 from conformance.coupler.outputs import every_write, spare_word
 from conformance.coupler.owners import impossible_writes
 from conformance.coupler.registers import OWN
 from conformance.coupler.retrigger import SHORT_MS, readings, require_unarmed
-from conformance.coupler.tester_clock import LATE_MS, now_ms, require_expiry, timed, wait
 from conformance.coupler.watchdog import EXPIRED, let_expire
 from conformance.master import (
     INPUTS,

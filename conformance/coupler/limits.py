@@ -244,7 +244,7 @@ def _sound(master: Master) -> None:
     master.ask(bytes.fromhex("08 0000 1234"))
 
 
-def _refused(master: Master) -> None:
+def _make_refused_requests(master: Master) -> None:
     master.refused(b"\x07", FUNCTION, "function code 7")
     master.refused(read_request(READ_HOLDING, 0x7000, 1), ADDRESS, "an address")
     master.refused(read_request(READ_HOLDING, INPUTS, 0), VALUE, "a quantity")
@@ -254,14 +254,14 @@ def _refused(master: Master) -> None:
 @case(821, "2.6", "sub-functions 11 and 14 count every request once, sound or refused")
 def requests_counted(master: Master) -> None:
     for sub in (REQUESTS, ADDRESSED):
-        for each, wanted in ((_sound, 3), (_refused, 5)):
+        for each, wanted in ((_sound, 3), (_make_refused_requests, 5)):
             got = least_growth(master, sub, lambda each=each: each(master))  # type: ignore[misc]
             require(got == wanted, f"sub-function {sub} grew by {got} with {wanted} requests")
 
 
 @case(822, "2.6", "sub-function 13 counts every exception once and nothing else")
 def exceptions_counted(master: Master) -> None:
-    for each, wanted in ((_sound, 0), (_refused, 4)):
+    for each, wanted in ((_sound, 0), (_make_refused_requests, 4)):
         got = least_growth(master, EXCEPTIONS, lambda each=each: each(master))  # type: ignore[misc]
         require(got == wanted, f"it grew by {got} with {wanted} exceptions")
 
@@ -279,7 +279,7 @@ def frames_counted(master: Master) -> None:
     got = (counter(master, FRAMES) - before) % 0x10000
     require(got == 3, f"it grew by {got} with 3 such frames")
     _sound(master)
-    _refused(master)
+    _make_refused_requests(master)
     require((counter(master, FRAMES) - before) % 0x10000 == 3, "it counts other requests too")
 
 
@@ -291,7 +291,7 @@ def counters_cleared(master: Master) -> None:
     for sub, most in ((EXCEPTIONS, 0), (FRAMES, 0), (REQUESTS, 1), (ADDRESSED, 1)):
         found = []
         for _ in range(TRIES):
-            _refused(master)
+            _make_refused_requests(master)
             require(master.ask(CLEAR) == CLEAR, "the data did not come back")
             found.append(counter(master, sub))
         require(min(found) <= most, f"sub-function {sub} stands at {min(found)} right after clearing")

@@ -1,20 +1,22 @@
 """Cases 861…: whose the outputs are, and since when no longer (clause 4)."""
 
 from conformance.case import coupler
-from conformance.coupler.frames import ADDRESS, FUNCTION, VALUE
-from conformance.coupler.limits import BETWEEN, nowhere_requests
-from conformance.coupler.outputs import OWNED, every_write, spare_word
-from conformance.coupler.registers import OWN
-from conformance.coupler.tester_clock import (
+from conformance.coupler.frames import (
+    ADDRESS,
+    FUNCTION,
     LATE_MS,
     LOOK_EACH_MS,
     STEP_MS,
+    VALUE,
     Moment,
     now_ms,
     timed,
     wait,
     wait_until,
 )
+from conformance.coupler.limits import BETWEEN, nowhere_requests
+from conformance.coupler.outputs import OWNED, every_write, spare_word
+from conformance.coupler.registers import OWN
 from conformance.master import (
     INPUTS,
     OUTPUTS,

@@ -7,10 +7,9 @@ import struct
 from itertools import pairwise
 
 from conformance.case import coupler
-from conformance.coupler.frames import VALUE
+from conformance.coupler.frames import LATE_MS, STEP_MS, VALUE, Moment, now_ms, timed, wait
 from conformance.coupler.outputs import spare_word
 from conformance.coupler.registers import STATUS_WORD, plant_words
-from conformance.coupler.tester_clock import LATE_MS, STEP_MS, Moment, now_ms, timed, wait
 from conformance.coupler.watchdog import let_expire
 from conformance.master import (
     INPUTS,

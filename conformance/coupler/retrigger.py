@@ -4,9 +4,18 @@ Slack of every time here: 5 ms early, 50 ms late, on the tester's clock.
 """
 
 from conformance.case import coupler
-from conformance.coupler.frames import ADDRESS, FUNCTION, VALUE
+from conformance.coupler.frames import (
+    ADDRESS,
+    FUNCTION,
+    LATE_MS,
+    VALUE,
+    Moment,
+    require_alive,
+    require_expiry,
+    timed,
+    wait,
+)
 from conformance.coupler.outputs import OWNED, coil_request, every_write, spare_word
-from conformance.coupler.tester_clock import LATE_MS, Moment, require_alive, require_expiry, timed, wait
 from conformance.master import (
     INPUTS,
     OUTPUTS,

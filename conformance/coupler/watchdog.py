@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 from conformance.case import coupler
+from conformance.coupler.frames import LATE_MS, now_ms, wait
 from conformance.coupler.outputs import every_write, spare_word
-from conformance.coupler.tester_clock import LATE_MS, now_ms, wait
 from conformance.master import (
     INPUTS,
     READ_COILS,

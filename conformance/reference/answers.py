@@ -85,7 +85,7 @@ def unknown_codes(peer: Peer) -> None:
         require(got[1:] == (Reason.UNKNOWN_COMMAND, float(code), 0.0), f"command code {code}: {got}")
 
 
-def _changed(kind: Kind) -> Iterator[tuple[str, int, str]]:
+def _changed_numbers(kind: Kind) -> Iterator[tuple[str, int, str]]:
     """Every number of a request but its id and padding: its name, offset in the datagram, and type."""
     fields = PAYLOADS[kind]
     for field, offset in zip(fields, offsets(fields), strict=True):
@@ -112,7 +112,7 @@ def any_other_content(peer: Peer) -> None:
         kind = {Command: Kind.COMMAND, ReferencePose: Kind.REFERENCE_POSE}.get(
             type(request), Kind.REFERENCE_PATH
         )
-        for name, offset, code in _changed(kind):
+        for name, offset, code in _changed_numbers(kind):
             peer.send_raw(peer.with_number(peer.encoded(request), offset, code, 2))
             got = peer.answer_to(request.command_id, f"{kind.name} again with another {name}")
             require(
@@ -320,10 +320,10 @@ def paths_in_time(peer: Peer) -> None:
     for points, segment_s, dwell_s in ((corner, 1.5, 0.4), ((moved(here, dx=-STEP_M), here), 2.2, 0.9)):
         request = ReferencePath(peer.new_id(), points, segment_s, dwell_s)
         expect_reason(peer.ask(request, "a path"), Reason.ACCEPTED, "a path")
-        _driven(peer, here, request)
+        _require_path_driven(peer, here, request)
 
 
-def _driven(peer: Peer, start: Pose, path: ReferencePath) -> None:
+def _require_path_driven(peer: Peer, start: Pose, path: ReferencePath) -> None:
     """Require that the path is driven through its waypoints in its own time."""
     rests = [0.0] * len(path.waypoints)
     left_ns = arrived_ns = seen_ns = peer.now_ns

@@ -2,13 +2,12 @@
 
 from functools import partial
 
-from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import FLAGS, refused, stop, used
 from conformance.reference.handshake import SLACK_MS, granted
-from conformance.wire import MS, SEQUENCES, Failed, Unsupported, require
+from conformance.wire import MS, SEQUENCES, Failed, Unsupported, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey, LinkKey
 from protocol.datagram import Header, encode
 from protocol.datagram_layout import CRC_BYTES, CRC_OFFSET, TAG_BYTES, TRAILER_BYTES

@@ -14,8 +14,8 @@ from conformance.reference.motion import (
     moved,
     reach,
     reference_reason,
+    require_reason,
     standby,
-    wanted,
 )
 from conformance.wire import MS, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
@@ -69,8 +69,8 @@ def require_latched(peer: Peer, after: str) -> None:
     require(later.valves == (0.0,) * 6, f"valves {later.valves}")
     drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
     require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
-    wanted(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     require(reach(peer, GroupState.DISABLED, "after RESET").fault is FaultCode.NONE, "RESET left a fault")
 
 
@@ -78,7 +78,7 @@ def require_dropped(peer: Peer, after: str) -> None:
     """Require a group that is DISABLED without a fault."""
     state = reach(peer, GroupState.DISABLED, f"after {after}", RAMPED_MS)
     require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after {after}")
-    wanted(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
+    require_reason(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
 
 
 @case(534, "7.5", "BYE in motion stops the arm and latches; the next session finds it so", motion=True)
@@ -108,7 +108,7 @@ def hello_in_motion(peer: Peer) -> None:
     state = peer.state()
     require(state.group_state is GroupState.MOVING, f"{state.group_state.name} after HELLO alone")
     require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after HELLO alone")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     reach(peer, GroupState.STANDBY, "after STOP")
 
 
@@ -137,7 +137,7 @@ def restart_in_standby(peer: Peer) -> None:
 def bye_while_stopping(peer: Peer) -> None:
     moving(peer)
     peer.collect(1500)  # to its pace: from there the ramp takes longest
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     peer.leave()
     peer.session = 0
     seen = come_back(peer, "BYE while STOPPING")
@@ -162,7 +162,7 @@ def _resets(peer: Peer, count: int = FLOOD) -> Iterable[Command]:
     return (Command(peer.new_id(), CommandCode.RESET) for _ in range(count))
 
 
-def _latched(peer: Peer, behind: str) -> State:
+def _latched_state(peer: Peer, behind: str) -> State:
     """The first STATE with the emergency latched, after EMERGENCY_STOP was sent and repeated."""
     request = Command(peer.new_id(), CommandCode.EMERGENCY_STOP)
     until_ns = peer.now_ns + LATCHED_MS * MS
@@ -176,7 +176,7 @@ def _latched(peer: Peer, behind: str) -> State:
     raise AssertionError
 
 
-def _answered(peer: Peer, request: Request, within_ms: float) -> list[Acknowledgement]:
+def _answers_until(peer: Peer, request: Request, within_ms: float) -> list[Acknowledgement]:
     """All acknowledgements, in order, until that of ``request``, which is sent and repeated."""
     answers: list[Acknowledgement] = []
     until_ns = peer.now_ns + int(within_ms * MS)
@@ -193,7 +193,7 @@ def _answered(peer: Peer, request: Request, within_ms: float) -> list[Acknowledg
 def behind_requests(peer: Peer) -> None:
     disabled(peer)
     _flood(peer, _resets(peer))
-    _latched(peer, f"{FLOOD} requests")
+    _latched_state(peer, f"{FLOOD} requests")
 
 
 @case(416, "6.13", "what waits when a stop comes is not judged after it, but answered with OVERTAKEN")
@@ -201,7 +201,7 @@ def overtaken_by_a_stop(peer: Peer) -> None:
     disabled(peer)
     _flood(peer, _resets(peer, 500))
     stop = Command(peer.new_id(), CommandCode.DISABLE)
-    answers = _answered(peer, stop, 2000)
+    answers = _answers_until(peer, stop, 2000)
     answers += peer.answers("after the stop")
     after = [a.command_id for a in answers].index(stop.command_id)
     late = [a for a in answers[after:] if a.command_id < stop.command_id and a.reason is not Reason.OVERTAKEN]
@@ -216,7 +216,7 @@ def overtaken_by_a_stop(peer: Peer) -> None:
 def bounded(peer: Peer) -> None:
     cycle_ns = peer.open(period_ms=50).cycle_ns
     _flood(peer, _resets(peer))
-    _answered(peer, Command(peer.new_id(), CommandCode.RESET), WAITING * cycle_ns / MS + 200)
+    _answers_until(peer, Command(peer.new_id(), CommandCode.RESET), WAITING * cycle_ns / MS + 200)
 
 
 @case(418, "6.12", f"EMERGENCY_STOP behind {FLOOD} heartbeats takes effect within {LATCHED_MS} ms")
@@ -225,7 +225,7 @@ def behind_heartbeats(peer: Peer) -> None:
     for _ in range(FLOOD):
         now_ns = peer.now_ns
         peer.send(Heartbeat(now_ns), sent_ns=now_ns)
-    _latched(peer, f"{FLOOD} heartbeats")
+    _latched_state(peer, f"{FLOOD} heartbeats")
 
 
 @case(533, "6.12", "EMERGENCY_STOP while STOPPING, behind 20 references, centres the valves", motion=True)
@@ -233,8 +233,8 @@ def while_stopping(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 2.0), Reason.ACCEPTED, "a motion")
     reach(peer, GroupState.MOVING, "after a reference")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     _flood(peer, (ReferencePose(peer.new_id(), here, 0.0) for _ in range(20)))
-    state = _latched(peer, "references, while stopping,")
+    state = _latched_state(peer, "references, while stopping,")
     require(state.valves == (0.0,) * 6, f"valves {state.valves}")
     require(state.group_state is GroupState.ERROR_STOP, state.group_state.name)

@@ -3,11 +3,10 @@
 import struct
 from collections.abc import Callable, Iterable, Iterator
 
-from conformance.bytes_of import with_bit_flipped
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
-from conformance.wire import Failed, require
+from conformance.wire import Failed, require, with_bit_flipped
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY

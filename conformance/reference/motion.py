@@ -22,7 +22,7 @@ case = reference.case
 SETTLE_MS = 5000
 
 
-def wanted(peer: Peer, code: CommandCode, reason: Reason, state: str) -> None:
+def require_reason(peer: Peer, code: CommandCode, reason: Reason, state: str) -> None:
     """``code`` is answered with ``reason``."""
     got = peer.command(code)
     require(got is reason, f"{code.name} in {state}: {got.name}, wanted {reason.name}")
@@ -76,7 +76,7 @@ def state_first(peer: Peer) -> None:
 @case(507, "7.4", "the emergency stop latches, with its flag and its fault")
 def emergency(peer: Peer) -> None:
     disabled(peer)
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "DISABLED")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "DISABLED")
     state = reach(peer, GroupState.ERROR_STOP, "after EMERGENCY_STOP")
     require(bool(state.flags & FLAG_EMERGENCY_LATCHED), "the flag is not set")
     require(state.fault is FaultCode.EMERGENCY_STOP, f"fault {state.fault.name}")
@@ -91,19 +91,19 @@ def emergency_outlives(peer: Peer) -> None:
     peer.leave()
     peer.open(period_ms=20)
     require(bool(peer.state().flags & FLAG_EMERGENCY_LATCHED), "it was gone after a new session")
-    wanted(peer, CommandCode.ENABLE, Reason.EMERGENCY_LATCHED, "emergency")
+    require_reason(peer, CommandCode.ENABLE, Reason.EMERGENCY_LATCHED, "emergency")
 
 
 @case(509, "7.4", "the emergency stop is left by EMERGENCY_RELEASE, then RESET, and not otherwise")
 def emergency_left(peer: Peer) -> None:
     disabled(peer)
     peer.command(CommandCode.EMERGENCY_STOP)
-    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
+    require_reason(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
     state = peer.state()
     require(state.group_state is GroupState.ERROR_STOP, "EMERGENCY_RELEASE alone left the error")
     require(not state.flags & FLAG_EMERGENCY_LATCHED, "the flag is still set")
-    wanted(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     state = reach(peer, GroupState.DISABLED, "after RESET")
     require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after RESET")
 
@@ -233,7 +233,7 @@ def stopped(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
     reach(peer, GroupState.MOVING, "after a reference")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     reach(peer, GroupState.STANDBY, "after STOP")
     a = peer.state()
     peer.collect(300)
@@ -257,8 +257,8 @@ def lost_in_motion(peer: Peer) -> None:
     drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
     require(later.valves == (0.0,) * 6, f"valves {later.valves}")
     require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
-    wanted(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     reach(peer, GroupState.DISABLED, "after RESET")
 
 
@@ -267,7 +267,7 @@ def emergency_in_motion(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
     reach(peer, GroupState.MOVING, "after a reference")
-    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     state = peer.state()
     require(state.valves == (0.0,) * 6, f"valves {state.valves}")
     require(state.group_state is GroupState.ERROR_STOP, state.group_state.name)

@@ -15,8 +15,8 @@ from conformance.reference.motion import (
     expect_reason,
     moved,
     reach,
+    require_reason,
     scaled,
-    wanted,
 )
 from conformance.wire import ANSWER_MS, MS, Unsupported, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -106,8 +106,8 @@ def not_negotiated(peer: Peer) -> None:
     peer.leave()
     peer.open(capabilities=CAPABILITY_PATHS, period_ms=20)
     here = peer.state().X_BT
-    wanted(peer, CommandCode.START_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
-    wanted(peer, CommandCode.END_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
+    require_reason(peer, CommandCode.START_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
+    require_reason(peer, CommandCode.END_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
     Stream(peer, peer.new_id()).refused(here, Reason.NOT_NEGOTIATED, "a streamed reference")
 
 
@@ -241,12 +241,12 @@ def no_resume(peer: Peer) -> None:
     stream, state = silenced(peer)
     ahead = moved(state.X_BT_cmd, dz=STEP_M)
     stream.refused(ahead, Reason.ERROR_LATCHED, "a reference after the stop")
-    wanted(peer, CommandCode.START_STREAM, Reason.ERROR_LATCHED, "error")
-    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    require_reason(peer, CommandCode.START_STREAM, Reason.ERROR_LATCHED, "error")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     stream.refused(ahead, Reason.DISABLED, "a reference after RESET")
-    wanted(peer, CommandCode.ENABLE, Reason.ACCEPTED, "DISABLED")
+    require_reason(peer, CommandCode.ENABLE, Reason.ACCEPTED, "DISABLED")
     stream.refused(ahead, Reason.NOT_STREAMING, "a reference after ENABLE")
-    wanted(peer, CommandCode.START_STREAM, Reason.ACCEPTED, "STANDBY")
+    require_reason(peer, CommandCode.START_STREAM, Reason.ACCEPTED, "STANDBY")
     stream.refused(ahead, Reason.NOT_STREAMING, "a reference of the old stream in a new one")
     drift = math.dist(peer.state().X_BT.p_m, state.X_BT.p_m)
     require(drift < DRIFT_M, f"the arm went on by {drift * 1e3:.1f} mm")
@@ -258,7 +258,7 @@ def ends(peer: Peer) -> None:
     stream, state = opened(peer)
     goal = moved(state.X_BT_cmd, dz=STEP_M)
     stream.feed(goal, 300.0)
-    wanted(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
+    require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     stream.refused(state.X_BT_cmd, Reason.NOT_STREAMING, "a reference after END_STREAM")
     until_ns = peer.now_ns + 20_000 * MS
     while peer.now_ns < until_ns and not (seen := peer.state()).motion_done:

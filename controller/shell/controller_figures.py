@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 
-from foundation.live.metrics import Figure, counters
+from foundation.live.wire import Figure, counters
 from protocol.channel import LinkStatistics
 
 _DATAGRAMS = [field.name for field in fields(LinkStatistics) if field.name != "longest_gap"]

@@ -7,8 +7,7 @@ from collections.abc import Awaitable, Callable
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, initial_state
 from controller.core.settings import ScanSettings
-from foundation.durations import DurationHistogram
-from foundation.periodic_timer import PeriodicTimer
+from foundation.periods import DurationHistogram, PeriodicTimer
 from protocol.faults import CommandCode
 from protocol.pose import Pose
 from protocol.process_image import COUNTS_PER_TURN, STATUS_SUPPLY_ON, STATUS_VALVES_ENABLED, SensorImage

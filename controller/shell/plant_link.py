@@ -22,9 +22,9 @@ from pymodbus.pdu.register_message import (
 
 from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
-from foundation.durations import DurationHistogram
 from foundation.event_log import EventLog
 from foundation.modbus import PlaceLost, StreamFramer, decoded
+from foundation.periods import DurationHistogram
 from protocol.coupler_registers import RESET_WORDS, WATCHDOG_RESET
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS
 

@@ -16,7 +16,7 @@ from controller.config import ReferenceLinkConfig
 from controller.core.arrivals import A_CYCLE, Arrivals
 from controller.core.inbox import Inbox
 from foundation.event_log import EventLog
-from foundation.ports import bound_udp
+from foundation.secret_source import bound_udp
 from protocol.datagram_layout import MAX_DATAGRAM_BYTES
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, Request, State, StreamRefused

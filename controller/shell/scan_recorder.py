@@ -16,10 +16,17 @@ from controller.core.excitation.program import ExcitationSample
 from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import ControllerView, ScanEvent, ScanInput, ScanOutput
 from foundation.event_log import EventLog, Level
+from foundation.recording.decoding import session_entries
 from foundation.recording.mcap_file import Entries, Topic
-from foundation.recording.messages import MessageField, format_of, log_line, message_class, posed
-from foundation.recording.recording_thread import RecordingThread, RecordSink
-from foundation.recording.session import session_entries
+from foundation.recording.messages import (
+    MessageField,
+    RecordingThread,
+    RecordSink,
+    format_of,
+    log_line,
+    message_class,
+    posed,
+)
 from nominal_arm.commissioned import Basis
 from nominal_arm.description import JOINT_NAMES, NominalArm
 from protocol.errors import ConfigurationError

@@ -29,17 +29,14 @@ from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
 from controller.shell.scan_recorder import ScanRecorder, TrialRecords
 from foundation.configuration import configuration_hash
-from foundation.durations import DurationHistogram, percent_missed
 from foundation.event_log import EventLog, Level
 from foundation.live.feed import LiveShow, open_show
-from foundation.live.metrics import Spread, exposition
-from foundation.overload import Limit, Tally
+from foundation.live.wire import Spread, exposition
+from foundation.periods import DurationHistogram, Limit, Tally, percent_missed, take_fifo
 from foundation.recording.recovery import recording_directory
-from foundation.scheduling import take_fifo
 from foundation.secret_source import read_key
-from foundation.self_watch import SelfWatch
+from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
-from foundation.statistics import StatisticsFile, resident_mb
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError, ImageRefused
 from protocol.faults import CommandCode, FaultCode

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 
 import longreach
 from testbed.recordings.command import ReplayRequest, run_replay
-from testbed.recordings.tables import write_tables
+from testbed.recordings.comparison import write_tables
 
 picture = Path(sys.argv[1] if len(sys.argv) > 1 else "replay_a_recording.png")
 with tempfile.TemporaryDirectory() as directory:

@@ -16,13 +16,12 @@ import sys
 from collections.abc import Sequence
 
 from foundation.event_log import EventLog, process_log
+from foundation.live import LiveSettings
 from foundation.live.face import LiveFace
 from foundation.live.feed import access_of
-from foundation.live.settings import LiveSettings
-from foundation.ports import bound_tcp
-from foundation.scheduling import take_policy
-from foundation.service_main import say_ready, when_asked_to_end
-from foundation.signs_of_life import signs_of_life
+from foundation.periods import take_policy
+from foundation.secret_source import bound_tcp
+from foundation.service_main import say_ready, signs_of_life, when_asked_to_end
 from protocol.errors import LongreachError
 
 _REFUSED = 2
@@ -37,7 +36,7 @@ async def _own(
         await face.fed(reader, writer)
 
 
-async def _shared(name: str, port: int, origins: Sequence[str], log: EventLog) -> None:
+async def _serve_shared(name: str, port: int, origins: Sequence[str], log: EventLog) -> None:
     settings = LiveSettings(port=port, allowed_origins=tuple(origins))
     stop = asyncio.Event()
     when_asked_to_end(stop.set)
@@ -80,7 +79,7 @@ def main() -> int:
         try:
             if arguments.whose == "shared":
                 name, port, *origins = arguments.sockets
-                asyncio.run(_shared(name, int(port), origins, log))
+                asyncio.run(_serve_shared(name, int(port), origins, log))
                 return 0
             # A signal to the whole process group reaches the service too, which then closes its end.
             for number in (signal.SIGINT, signal.SIGTERM):

@@ -21,10 +21,9 @@ from websockets.typing import Subprotocol
 from foundation.event_log import EventLog
 from foundation.live import wire
 from foundation.live.wire import LatestQueue
-from foundation.rest.access import Access
 from foundation.rest.guard import AccessGuard
-from foundation.rest.problems import MEDIA_TYPE, problem
-from foundation.rest.refusals import DATA_HEADERS, Refusal, RefusalLog
+from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, Refusal, RefusalLog, problem
+from foundation.rest.tokens import Access
 
 VIEWERS_MAX = 8
 _FIGURES_WITHIN_S = 3.0
@@ -46,7 +45,7 @@ class Feeder:
         self._once = said.once
         self._writer = writer
         self._wanted: list[int] = []
-        self._asked: list[asyncio.Future[str]] = []
+        self._plain_response: list[asyncio.Future[str]] = []
 
     def tell_wanted(self, channels: frozenset[int]) -> None:
         """Have the service feed these channels of its own, and no others."""
@@ -65,7 +64,7 @@ class Feeder:
     async def figures(self) -> str:
         """What Prometheus is told of the service; empty when it does not say in time."""
         answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._asked.append(answer)
+        self._plain_response.append(answer)
         self._say({"figures": True})
         try:
             return await asyncio.wait_for(answer, _FIGURES_WITHIN_S)
@@ -74,10 +73,10 @@ class Feeder:
 
     def told(self, figures: str) -> None:
         """It has said them."""
-        for answer in self._asked:
+        for answer in self._plain_response:
             if not answer.done():
                 answer.set_result(figures)
-        self._asked.clear()
+        self._plain_response.clear()
 
     def _say(self, said: dict[str, Any]) -> None:
         self._writer.write(json.dumps(said).encode() + b"\n")
@@ -131,9 +130,9 @@ class LiveFace:
     async def serve(self, listener: socket.socket) -> Server:
         """Serve at ``listener``, which is bound, until the server that is returned is closed."""
         return await serve(
-            self._met,
+            self._serve_viewer,
             sock=listener,
-            process_request=self._asked,
+            process_request=self._plain_response,
             subprotocols=[Subprotocol(name) for name in wire.SUBPROTOCOLS],
             compression=None,
             open_timeout=_HANDSHAKE_S,
@@ -151,7 +150,7 @@ class LiveFace:
                     return
                 data = await reader.readexactly(size)
                 if kind == wire.HELLO:
-                    feeder = self._joined(wire.read_hello(data), writer)
+                    feeder = self._join(wire.read_hello(data), writer)
                 elif feeder is not None and kind == wire.FIGURES:
                     feeder.told(data.decode())
                 elif feeder is not None:
@@ -161,16 +160,16 @@ class LiveFace:
         except (asyncio.IncompleteReadError, OSError):
             return
         finally:
-            self._left(feeder)
+            self._remove_feeder(feeder)
             writer.close()
 
-    def _joined(self, said: wire.FeedHello, writer: asyncio.StreamWriter) -> Feeder:
+    def _join(self, said: wire.FeedHello, writer: asyncio.StreamWriter) -> Feeder:
         feeder = Feeder(said, writer, self._numbers)
         self._feeders.append(feeder)
         self._tell(wire.advertise(feeder.channels))
         return feeder
 
-    def _left(self, feeder: Feeder | None) -> None:
+    def _remove_feeder(self, feeder: Feeder | None) -> None:
         if feeder in self._feeders:
             self._feeders.remove(feeder)
             feeder.told("")
@@ -184,7 +183,7 @@ class LiveFace:
         for viewer in self._viewers:
             viewer.say(text)
 
-    async def _met(self, connection: ServerConnection) -> None:
+    async def _serve_viewer(self, connection: ServerConnection) -> None:
         """Serve one viewer until it leaves."""
         viewer = Viewer(connection)
         self._viewers.append(viewer)
@@ -225,22 +224,22 @@ class LiveFace:
         for feeder in self._feeders:
             feeder.tell_wanted(wanted)
 
-    async def _asked(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _plain_response(self, connection: ServerConnection, request: Request) -> Response | None:
         """The answer to what is no viewer, or may not look; None lets the handshake go on."""
         scope = _scope(connection, request)
         refusal = self._guard.refusal(scope)
         if refusal is not None:
-            return _refused(refusal)
+            return _refusal_response(refusal)
         if scope["path"] == "/metrics":
             told = [await feeder.figures() for feeder in self._feeders]
             return _response(http.HTTPStatus.OK, "".join(told).encode(), _TEXT)
         if scope["path"] != "/":
             why = "there are / for viewers and /metrics"
-            return _refused(problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why))
+            return _refusal_response(problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why))
         if len(self._viewers) >= VIEWERS_MAX:
             why = f"{VIEWERS_MAX} viewers look already"
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
-            return _refused(problem(status, "refused.too_many_followers", why))
+            return _refusal_response(problem(status, "refused.too_many_followers", why))
         return None
 
 
@@ -264,7 +263,7 @@ def _scope(connection: ServerConnection, request: Request) -> dict[str, Any]:
     }
 
 
-def _refused(refusal: Refusal) -> Response:
+def _refusal_response(refusal: Refusal) -> Response:
     status = http.HTTPStatus(refusal["status"])
     response = _response(status, json.dumps(refusal).encode(), MEDIA_TYPE)
     if status == http.HTTPStatus.UNAUTHORIZED:

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from foundation.event_log import EventLog
-from foundation.live import wire
-from foundation.live.settings import LiveSettings
+from foundation.live import LiveSettings, wire
 from foundation.live.wire import SHARED_VARIABLE, LatestQueue
-from foundation.ports import bound_tcp
+from foundation.periods import take_fifo
 from foundation.recording.mcap_file import Entries, Topic
-from foundation.recording.recording_thread import RecordingThread, RecordSink
-from foundation.rest.access import Access, configured_access
-from foundation.scheduling import take_fifo
+from foundation.recording.messages import RecordingThread, RecordSink
+from foundation.rest.tokens import Access, configured_access
+from foundation.secret_source import bound_tcp
 
 Opened = Callable[[Path, Sequence[Topic], Entries], RecordSink]
 _NOBODY: frozenset[int] = frozenset()
@@ -159,9 +158,9 @@ class LiveFeed:
             for topic in sorted((self._wanted - before) & self._once.keys()):
                 self._send(link, topic, self._once[topic])
         else:
-            link.sendall(wire.frame(wire.FIGURES, self._told().encode()))
+            link.sendall(wire.frame(wire.FIGURES, self._figures_text().encode()))
 
-    def _told(self) -> str:
+    def _figures_text(self) -> str:
         for _ in range(3):
             try:
                 return self._figures()

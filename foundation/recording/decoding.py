@@ -1,7 +1,11 @@
 """Messages of a recording as plain numbers, by the schemas that the file itself carries."""
 
+import importlib.metadata
 import json
+import os
+import platform
 import struct
+import uuid
 import zlib
 from collections.abc import Callable, Container, Iterator, Mapping
 from io import BytesIO
@@ -19,6 +23,27 @@ from mcap.writer import MCAP0_MAGIC
 
 from foundation.recording.mcap_file import Format
 from protocol.errors import LongreachError
+
+SESSION_VARIABLE = "LONGREACH_SESSION"
+_PACKAGES = ("longreach", "numpy", "scipy", "numba", "opencv-python-headless")
+
+
+def session_entries(service: str, environment: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The metadata ``session`` of a recording: its ``id``, from LONGREACH_SESSION or made anew, the
+    ``service``, versions, and the kind of machine.
+    """
+    known = os.environ if environment is None else environment
+    made = {"id": known.get(SESSION_VARIABLE) or str(uuid.uuid4()), "service": service}
+    versions = {f"version {name}": _version(name) for name in _PACKAGES}
+    return made | versions | {"version python": platform.python_version(), "machine": platform.machine()}
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
+
 
 Values = dict[str, Any]
 
@@ -132,7 +157,7 @@ def walk(stream: BinaryIO) -> Iterator[Any]:
         if len(content) < length:
             yield Damage(offset, f"cut off: {len(content)} of {length} bytes of a record")
             return
-        yield from _found(opcode, content, offset)
+        yield from _records_in(opcode, content, offset)
         if opcode == Opcode.FOOTER:
             if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 yield Damage(stream.tell(), "cut off within the last bytes")
@@ -157,10 +182,10 @@ def messages(
                 damages.append(record)
 
 
-def _found(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
+def _records_in(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
     try:
         if opcode == Opcode.CHUNK:
-            yield from _in_chunk(_unpacked(Chunk.read(ReadDataStream(BytesIO(content)))))
+            yield from _in_chunk(_unpack(Chunk.read(ReadDataStream(BytesIO(content)))))
         elif opcode == Opcode.MESSAGE:
             yield Message.read(ReadDataStream(BytesIO(content)), len(content))
         elif opcode in _READERS:
@@ -170,7 +195,7 @@ def _found(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
         yield Damage(offset, f"damaged {kind}: {error or type(error).__name__}")
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpack(chunk: Chunk) -> bytes:
     """What a chunk holds. Raises ValueError when it is not what was written."""
     if chunk.uncompressed_size > _CHUNK_MAX:
         raise ValueError(f"{chunk.uncompressed_size} bytes unpacked, {_CHUNK_MAX} at most")

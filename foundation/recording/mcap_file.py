@@ -87,7 +87,7 @@ class McapFile:
         """Create ``path``. Raises FileExistsError where it exists, OSError when it cannot be written."""
         self.path = path
         self._topics = tuple(topics)
-        self._schemas, self._channels = _described(self._topics)
+        self._schemas, self._channels = _schemas_and_channels(self._topics)
         self._file = path.open("xb", buffering=0)
         self._size = 0
         self._index = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115  closed with the recording
@@ -256,7 +256,7 @@ class McapFile:
             raise
 
 
-def _described(topics: Sequence[Topic]) -> tuple[list[Schema], list[Channel]]:
+def _schemas_and_channels(topics: Sequence[Topic]) -> tuple[list[Schema], list[Channel]]:
     """A record for every topic, and for every schema that they name."""
     schemas: dict[tuple[str, str, bytes], Schema] = {}
     channels = []

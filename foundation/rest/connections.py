@@ -14,8 +14,7 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from foundation.rest.problems import MEDIA_TYPE, problem
-from foundation.rest.refusals import DATA_HEADERS, RefusalLog
+from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, RefusalLog, problem
 
 HEADERS_WITHIN_S = 10.0  # beyond the 5 s for which uvicorn keeps an idle connection
 MAX_CONNECTIONS = 256

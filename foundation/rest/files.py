@@ -1,16 +1,76 @@
 """Files of pages that a REST API serves beside its resources: by name, compressed once, never by path."""
 
 import asyncio
+import functools
 import gzip
 import hashlib
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from http import HTTPStatus
 from importlib.abc import Traversable
-from typing import NamedTuple
+from importlib.resources import files
+from inspect import isasyncgenfunction
+from typing import Any, NamedTuple, TypeVar
 
 from fastapi import FastAPI, Request, Response
+from fastapi.routing import APIRoute
 
-from foundation.rest.refusals import NO_FRAMES
+from foundation.rest.problems import NO_FRAMES
+
+T = TypeVar("T")
+_END = object()
+
+
+class Home:
+    """Carries calls to ``loop``; from within it they are plain calls."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+
+    async def call(self, function: Callable[..., Awaitable[T]], *given: Any, **named: Any) -> T:
+        """What ``function`` returns or raises there. A caller that is cancelled cancels it."""
+
+        async def called() -> T:
+            return await function(*given, **named)
+
+        if asyncio.get_running_loop() is self._loop:
+            return await called()
+        return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(called(), self._loop))
+
+    def endpoint(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """An endpoint, or an endless one, that runs there whatever loop it is awaited in."""
+        if isasyncgenfunction(function):
+
+            @functools.wraps(function)
+            async def followed(**named: Any) -> AsyncIterator[Any]:
+                source = function(**named)
+                try:
+                    while (item := await self.call(anext, source, _END)) is not _END:
+                        yield item
+                finally:
+                    await self.call(source.aclose)
+
+            return followed
+
+        @functools.wraps(function)
+        async def called(**named: Any) -> Any:
+            return await self.call(function, **named)
+
+        return called
+
+
+def run_endpoints_at(app: FastAPI, home: Home) -> None:
+    """Have the endpoints that are added to ``app`` from now on run at ``home``.
+
+    Requests are parsed, checked and answered by the loop that serves. Only what an endpoint itself does is
+    done by the loop that has other duties as well: it is to be little.
+    """
+
+    class HomeRoute(APIRoute):
+        def __init__(self, path: str, endpoint: Callable[..., Any], **more: Any) -> None:
+            super().__init__(path, home.endpoint(endpoint), **more)
+
+    app.router.route_class = HomeRoute
+
 
 PAGE_POLICY = (
     f"default-src 'none'; {NO_FRAMES}; connect-src 'self'; script-src 'self'; style-src 'self'; "
@@ -40,7 +100,7 @@ class PageFiles:
     """
 
     def __init__(self, folder: Traversable, at: str, index: str) -> None:
-        self._files = dict(_found(folder, at))
+        self._files = dict(_files_below(folder, at))
         self._files[index] = self._files.pop(f"{at}/index.html")
         self._served: dict[str, _Served] = {}
 
@@ -60,7 +120,7 @@ class PageFiles:
         """
         served = self._served.get(path)
         if served is None:  # in a thread: this loop may have a stop to serve
-            served = self._served[path] = await asyncio.to_thread(_read, self._files[path])
+            served = self._served[path] = await asyncio.to_thread(_load, self._files[path])
         media_type = _MEDIA_TYPES["." + self._files[path].name.rpartition(".")[2]]
         told = {"ETag": served.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
         told["Content-Security-Policy"] = policy
@@ -85,16 +145,24 @@ def add_files(app: FastAPI, files: PageFiles, asks: str = "") -> None:
         app.add_api_route(path, file, include_in_schema=False)
 
 
-def _found(folder: Traversable, at: str) -> list[tuple[str, Traversable]]:
+def _files_below(folder: Traversable, at: str) -> list[tuple[str, Traversable]]:
     found = []
     for entry in folder.iterdir():
         if entry.is_dir() and entry.name == "vendor":
-            found += _found(entry, f"{at}/vendor")
+            found += _files_below(entry, f"{at}/vendor")
         elif entry.is_file() and "." + entry.name.rpartition(".")[2] in _MEDIA_TYPES:
             found.append((f"{at}/{entry.name}", entry))
     return found
 
 
-def _read(file: Traversable) -> _Served:
+def _load(file: Traversable) -> _Served:
     body = file.read_bytes()
     return _Served(body, gzip.compress(body, mtime=0), f'"{hashlib.sha256(body).hexdigest()[:32]}"')
+
+
+def add_docs(app: FastAPI) -> None:
+    """Adds ``/docs``, which loads nothing from elsewhere.
+
+    FastAPI's own pages do: make ``app`` with ``docs_url=None, redoc_url=None``.
+    """
+    add_files(app, PageFiles(files("foundation.rest") / "docs", "/docs/files", "/docs"))

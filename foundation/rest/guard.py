@@ -10,18 +10,17 @@ from typing import Any
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.rest.access import Access
-from foundation.rest.problems import problem
-from foundation.rest.refusals import (
+from foundation.rest.problems import (
     DATA_POLICY,
     SECURITY_HEADERS,
     Refusal,
     RefusalLog,
     Refuse,
     header_values,
+    problem,
     respond_unread,
 )
-from foundation.rest.tokens import TokenCheck
+from foundation.rest.tokens import Access, TokenCheck
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address
@@ -59,12 +58,12 @@ class AccessGuard:
 
     def refusal(self, scope: Scope) -> Refusal | None:
         """Why a request is refused, which is told to ``refusals``; None when it may go on."""
-        refusal = self._judged(scope)
+        refusal = self._refusal_for(scope)
         if refusal is not None:
             self._refusals.tell(refusal, str((scope.get("client") or ("unknown",))[0]))
         return refusal
 
-    def _judged(self, scope: Scope) -> Refusal | None:
+    def _refusal_for(self, scope: Scope) -> Refusal | None:
         hosts = header_values(scope, b"host")
         if len(hosts) != 1 or not self._is_ours(hosts[0], scope):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"
@@ -118,7 +117,7 @@ class BodyLimit:
         if refusal is None:
             try:
                 async with asyncio.timeout(self._within_s):
-                    body = await self._read(scope, receive)
+                    body = await self._read_body(scope, receive)
             except TimeoutError:
                 refusal = _too_slow(scope, self._within_s)
             except _TooLarge:
@@ -130,7 +129,7 @@ class BodyLimit:
         elif body is not None:
             await self._app(scope, _after(body, receive), send)
 
-    async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
+    async def _read_body(self, scope: Scope, receive: Receive) -> bytes | None:
         """The body; None when the client left. Raises _TooLarge, of an announced length before reading."""
         announced = ", ".join(header_values(scope, b"content-length"))
         if announced.isdigit() and int(announced) > self._limit:

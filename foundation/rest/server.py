@@ -1,23 +1,28 @@
 """What every REST API of ours has: problem documents, limits, a guarded server."""
 
+import asyncio
 import contextlib
 import functools
+import resource
+import socket
+import sys
 from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from typing import Any, cast
 
 import uvicorn
+import uvloop
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from foundation.event_log import EventLog
-from foundation.rest.access import ANYBODY_HERE, Access
 from foundation.rest.connections import Door, Lanes
 from foundation.rest.guard import AccessGuard, BodyLimit
-from foundation.rest.problems import problem, problem_of
-from foundation.rest.refusals import RefusalLog, Refuse, respond
+from foundation.rest.problems import RefusalLog, Refuse, problem, problem_of, respond
+from foundation.rest.tokens import ANYBODY_HERE, Access
 from protocol.errors import LongreachError
 
 MAX_BODY_BYTES = 16_384
@@ -107,3 +112,38 @@ def install_problems(
     async def failed(request: Request, error: Exception) -> JSONResponse:
         document = problem_of(error, status_of_cause) | {"instance": request.url.path}
         return respond(document | ({"advice": advise(document["cause"])} if advise else {}))
+
+
+_SWITCH_S = 0.0005  # a tenth of Python's own: how long a busy thread keeps the others from the interpreter
+
+_FILES = 4096  # more than connections, also of those too many, so that one that asks for a stop is accepted
+
+
+async def serve_in_thread(server: RestServer, listener: socket.socket) -> None:
+    """Serve at ``listener``, which is bound, until ``server.should_exit``; the caller's loop goes on.
+
+    Raises what the server raises. Once cancelled it ends the server first.
+    """
+
+    def serve() -> None:
+        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            runner.run(server.serve([listener]))
+
+    sys.setswitchinterval(_SWITCH_S)
+    _allow_files(_FILES)
+    with ThreadPoolExecutor(1, "rest") as thread:
+        serving = asyncio.get_running_loop().run_in_executor(thread, serve)
+        try:
+            await asyncio.shield(serving)
+        except asyncio.CancelledError:
+            server.should_exit = True
+            await serving
+            raise
+
+
+def _allow_files(count: int) -> None:
+    """Let this process have ``count`` open files, or as many as it may."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != resource.RLIM_INFINITY and soft < count:
+        allowed = count if hard == resource.RLIM_INFINITY else min(count, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))

@@ -7,12 +7,13 @@ import ipaddress
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from http import HTTPStatus
+from types import MappingProxyType
+from typing import NamedTuple, Protocol
 
 from starlette.types import Scope
 
 from foundation.configuration import StrictModel
-from foundation.rest.problems import problem
-from foundation.rest.refusals import Refusal, header_values
+from foundation.rest.problems import Refusal, header_values, problem
 from foundation.secret_source import SecretSource, read_secret
 from protocol.errors import ConfigurationError
 
@@ -69,7 +70,7 @@ class TokenCheck:
         return self._role_of(given[0]) if len(given) == 1 else None
 
     def _role_of(self, authorization: str) -> Role | None:
-        presented = _presented(authorization)
+        presented = _presented_token(authorization)
         # Every token is compared, each in constant time: how long it takes tells nothing of them.
         matching = [role for role, token in self._tokens.items() if hmac.compare_digest(token, presented)]
         return matching[0] if matching else None
@@ -105,7 +106,7 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _presented(authorization: str) -> bytes:
+def _presented_token(authorization: str) -> bytes:
     """The token of a Bearer header, or the password of a Basic one, as browsers send; empty: none."""
     scheme, _, credentials = authorization.partition(" ")
     try:
@@ -119,3 +120,45 @@ def _presented(authorization: str) -> bytes:
 
 def _refusal(scope: Scope, status: HTTPStatus, cause: str, why: str) -> Refusal:
     return problem(status, cause, why, instance=scope["path"])
+
+
+class Access(NamedTuple):
+    """``allowed_hosts``: names, without port, beside loopback and the address that was reached.
+
+    ``tokens``: by role; none: nobody is asked for one. ``stops``: paths that whoever may look may POST to.
+    ``public``: paths that may be read without a token: a page that asks for one, and nothing else.
+    ``allowed_origins``: pages of others that may ask, in lower case.
+    """
+
+    allowed_hosts: tuple[str, ...] = ()
+    tokens: Mapping[Role, bytes] = MappingProxyType({})
+    stops: frozenset[str] = frozenset()
+    public: frozenset[str] = frozenset()
+    allowed_origins: frozenset[str] = frozenset()
+
+
+ANYBODY_HERE = Access()
+
+
+class RestSettings(Protocol):
+    """What the configuration of a REST API says of this."""
+
+    @property
+    def host(self) -> str:
+        """Where it listens."""
+
+    @property
+    def allowed_hosts(self) -> tuple[str, ...]:
+        """Further names."""
+
+    @property
+    def tokens(self) -> TokenSources:
+        """Where the tokens are."""
+
+
+def configured_access(
+    settings: RestSettings, setting: str, stops: Iterable[str] = (), public: Iterable[str] = ()
+) -> Access:
+    """What ``settings``, found at ``setting``, say. Raises ConfigurationError as ``read_tokens`` does."""
+    tokens = read_tokens(settings.tokens, settings.host, setting)
+    return Access((settings.host, *settings.allowed_hosts), tokens, frozenset(stops), frozenset(public))

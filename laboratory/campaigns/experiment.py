@@ -9,20 +9,24 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from foundation.configuration import BASE_FILE
 from laboratory.campaigns.campaign import CampaignRequest, Task, run_campaign
 from laboratory.campaigns.rows import typed
 from testbed.reporting.console import out, table, write_json
+from testbed.reporting.run_record import KeptRun, beginning
 
-if TYPE_CHECKING:  # a command that only shows its help need not wait for it
+if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 S = TypeVar("S")  # settings beyond the request's
 R = TypeVar("R")  # a row
 
 _STYLES = {True: "green", False: "bold red", None: "dim"}
 _DPI = 110  # of --plot
+_PIXELS_PER_INCH = 100  # of a figure at its natural width
 _VERDICTS = {True: "met", False: "NOT met", None: ""}
 
 
@@ -196,7 +200,7 @@ def show_checks(checks: Sequence[Check]) -> None:
 
 def _leave(experiment: Experiment[S, R], request: CampaignRequest, shown: tuple[Any, ...]) -> None:
     """The page, and the first figure where --plot wants it."""
-    from testbed.reporting.experiment_page import write_experiment_page  # here: help need not wait for it
+    from laboratory.campaigns.experiment import write_experiment_page  # here: help need not wait for it
 
     told, checks, tables, drawn = shown
     if request.plot is not None and drawn:
@@ -213,3 +217,51 @@ def _leave(experiment: Experiment[S, R], request: CampaignRequest, shown: tuple[
 def seeds(request: CampaignRequest) -> range:
     """The seeds of the runs."""
     return range(request.seed, request.seed + request.runs)
+
+
+def write_experiment_page(
+    directory: Path,
+    heading: tuple[str, str],
+    conditions: str,
+    checks: Sequence[Any],
+    tables: Sequence[Table],
+    figures: "Mapping[str, Figure]",
+) -> Path:
+    """Write ``directory/NAME.html`` and return its path.
+
+    ``heading``: the experiment's name and title; ``checks``: of the verdict, each with what, found, asked
+    and met; ``tables``: as they are printed.
+    """
+    from testbed.reporting.plots import svg  # here: help need not wait for it
+    from testbed.reporting.report import rendered
+
+    name, title = heading
+    html = rendered(
+        "experiment.html.j2",
+        name=name,
+        title=title,
+        conditions=conditions.split("; "),
+        checks=checks,
+        failed=sum(check.met is False for check in checks),
+        tables=[_as_words(made) for made in tables],
+        figures=[
+            (each, svg(figure, each), round(_PIXELS_PER_INCH * figure.get_figwidth()))
+            for each, figure in figures.items()
+        ],
+        run=KeptRun(directory, beginning()),
+    )
+    path = directory / f"{name}.html"
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+def _as_words(made: Table) -> tuple[str, list[str], list[tuple[str, ...]], list[bool]]:
+    """Title, headings, rows, and of each column whether it holds words."""
+    headings = [_word(column.header) for column in made.columns]
+    columns = [[_word(cell) for cell in column.cells] for column in made.columns]
+    are_words = [column.justify == "left" for column in made.columns]
+    return _word(made.title), headings, list(zip(*columns, strict=True)), are_words
+
+
+def _word(cell: Any) -> str:
+    return Text.from_markup(cell).plain if isinstance(cell, str) else str(cell or "")

@@ -60,11 +60,13 @@ class ShownExperiment(NamedTuple):
 
 def pinned(name: str) -> ShownExperiment | None:
     """What is written down of the experiment called ``name``; None: nothing."""
-    told = _table().get(name)
-    if told is None:
+    record = _table().get(name)
+    if record is None:
         return None
-    options = [_parameter(option) for option in told["options"]]
-    return ShownExperiment(told["runs"], told["seed"], told["workers"], Path(told["directory"]), options)
+    options = [_parameter(option) for option in record["options"]]
+    return ShownExperiment(
+        record["runs"], record["seed"], record["workers"], Path(record["directory"]), options
+    )
 
 
 def written_down(shown: ShownExperiment) -> dict[str, Any]:
@@ -74,7 +76,7 @@ def written_down(shown: ShownExperiment) -> dict[str, Any]:
         "seed": shown.seed,
         "workers": shown.workers,
         "directory": str(shown.directory),
-        "options": [_told(parameter) for parameter in shown.parameters],
+        "options": [_option_record(parameter) for parameter in shown.parameters],
     }
 
 
@@ -86,7 +88,7 @@ def _table() -> dict[str, Any]:
     return table
 
 
-def _told(parameter: inspect.Parameter) -> dict[str, Any]:
+def _option_record(parameter: inspect.Parameter) -> dict[str, Any]:
     kind, info = get_args(parameter.annotation)
     optional = get_origin(kind) in (Union, UnionType)
     if optional:
@@ -107,21 +109,21 @@ def _told(parameter: inspect.Parameter) -> dict[str, Any]:
     }
 
 
-def _parameter(told: dict[str, Any]) -> inspect.Parameter:
-    kind, default = told["kind"], told["default"]
+def _parameter(record: dict[str, Any]) -> inspect.Parameter:
+    kind, default = record["kind"], record["default"]
     made: Any
     if isinstance(kind, list):
         chosen: Any = StrEnum("Chosen", {name: name for name in kind})  # type: ignore[misc]
-        made, default = chosen, default if told["several"] else chosen(default)
+        made, default = chosen, default if record["several"] else chosen(default)
     else:
         made = _TYPES[kind]
         default = Path(default) if made is Path else default
-    if told["several"]:
+    if record["several"]:
         made = GenericAlias(list, made)
-    if told["optional"]:
+    if record["optional"]:
         made = made | None
-    made_by = typer.Argument if told["argument"] else typer.Option
-    info = made_by(*told["flags"], **{name: told[name] for name in _INFO if name in told})
+    made_by = typer.Argument if record["argument"] else typer.Option
+    info = made_by(*record["flags"], **{name: record[name] for name in _INFO if name in record})
     return inspect.Parameter(
-        told["name"], inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[made, info]
+        record["name"], inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[made, info]
     )

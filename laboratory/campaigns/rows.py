@@ -75,9 +75,9 @@ class RowFile:
             whole, _, torn = path.read_bytes().rpartition(b"\n")
             if torn:
                 path.write_bytes(whole + b"\n" if whole else b"")
-            self._read(whole.decode("utf-8"))
+            self._read_rows(whole.decode("utf-8"))
 
-    def _read(self, text: str) -> None:
+    def _read_rows(self, text: str) -> None:
         reader = csv.DictReader(io.StringIO(text))
         self.columns = list(reader.fieldnames or [])
         self.rows = [{name: _value(entry) for name, entry in row.items()} for row in reader]

@@ -103,7 +103,7 @@ def results(
     if scheduler is None and workers == 0:
         made = _one_by_one(function, tasks)
     else:
-        made = _distributed(function, tasks, scheduler, workers)
+        made = _distribute(function, tasks, scheduler, workers)
     spent: list[float] = []
     failed = 0
     with _ctrl_c_noted() as noted, bars() as shown, shown.step(title) as bar, closing(made):
@@ -123,7 +123,7 @@ def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[tuple[Task, R
         yield task, _run(function, task)
 
 
-def _distributed(
+def _distribute(
     function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
 ) -> Generator[tuple[Task, Row], None, None]:
     with _workforce(scheduler, workers) as force:
@@ -179,11 +179,11 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_QUIET))
         if scheduler is None:
-            cluster = stack.enter_context(_started(workers))
+            cluster = stack.enter_context(_local_cluster(workers))
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
             yield _Workforce(client, workers, True)
         else:
-            client = stack.enter_context(_reached(scheduler))
+            client = stack.enter_context(_client_of(scheduler))
             yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
 
 
@@ -219,7 +219,7 @@ def _ctrl_c_held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _started(workers: int) -> Iterator[Any]:
+def _local_cluster(workers: int) -> Iterator[Any]:
     """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
     try:
         with _ctrl_c_held_back():  # workers inherit it: the client alone acts on Ctrl-C
@@ -245,7 +245,7 @@ def _started(workers: int) -> Iterator[Any]:
 
 
 @contextmanager
-def _reached(scheduler: str) -> Iterator[Any]:
+def _client_of(scheduler: str) -> Iterator[Any]:
     """A client of the scheduler at ``scheduler``, which has at least one worker."""
     try:
         parse_host_port(parse_address(scheduler, strict=True)[1])  # before a client is made that cannot be

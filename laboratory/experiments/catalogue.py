@@ -67,7 +67,7 @@ OURS = {
     "positioning": Entry(
         {
             "corrected": "positioning.corrected:CORRECTED",
-            "visual-servoing": "positioning.visual_servoing:VISUAL_SERVOING",
+            "visual-servoing": "positioning.programs:VISUAL_SERVOING",
             "programs": "positioning.programs:PROGRAMS",
         },
         "how near the tool comes over drawn machines: by one look corrected on the way, by the closed"

@@ -144,7 +144,7 @@ def without_rule(config_dir: Path, task: Task) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _paired(done: RuleRows) -> dict[tuple[str, str, str], tuple[list[RuleRow], list[RuleRow]]]:
+def _paired_rows(done: RuleRows) -> dict[tuple[str, str, str], tuple[list[RuleRow], list[RuleRow]]]:
     """(subject, world, rule) → rows as shipped and without the rule, of the same seeds in the same order."""
     rows = {(row.subject, row.world, row.rule, row.seed): row for row in done.rows}
     pairs: dict[tuple[str, str, str], tuple[list[RuleRow], list[RuleRow]]] = {}
@@ -173,7 +173,7 @@ def worse_by_chance(before: np.ndarray, without: np.ndarray) -> float:
 def rules_table(done: RuleRows) -> list[Table]:
     """A line a subject, world and rule: errors without it, and whether they are larger beyond chance."""
     lines = []
-    for (subject, world, rule), (before, without) in sorted(_paired(done).items()):
+    for (subject, world, rule), (before, without) in sorted(_paired_rows(done).items()):
         mm, chance = errors_mm(without), worse_by_chance(errors_mm(before), errors_mm(without))
         missed = sum(row.probability >= CONFIDENT and row.error_mm > LIMIT_MM for row in without)
         stopped = sum(not np.isfinite(row.error_mm) for row in without)
@@ -189,7 +189,7 @@ def rules_table(done: RuleRows) -> list[Table]:
 
 def rules_verdict(done: RuleRows) -> list[Check]:
     """Whether every rule was tried on as many machines as the product as shipped was."""
-    pairs = _paired(done)
+    pairs = _paired_rows(done)
     whole = min((len(before) for before, _ in pairs.values()), default=0)
     return [at_least("machines a rule, at least", float(whole), 1.0)]
 

@@ -23,7 +23,7 @@ from testbed.realtime.up import end_on_sigterm, started
 from testbed.reporting.console import bars, err, write_json
 from testbed.reporting.run_directory import run_directory
 from testbed.reporting.run_record import note, note_settings
-from testbed.scenarios.settings import Overrides, with_face
+from testbed.scenarios.scenario import Overrides, with_face
 
 _HEALTHY_S = 60.0
 _WARM_UP_SHARE = 1 / 3  # of the time: caches fill, and vision keeps its last 200 operations
@@ -59,7 +59,7 @@ def run_soak(request: SoakRequest, json_file: Path | None) -> bool:
     with run_directory(request.runs) as directory:
         launch = prepare(request.config_dir, overrides, directory, any_ports=request.any_ports)
         note_settings(directory, launch.settings)
-        figures = _soaked(launch, request)
+        figures = _soak_figures(launch, request)
         show(figures)
         verdict = checks(figures)
         show_checks(verdict)
@@ -71,7 +71,7 @@ def run_soak(request: SoakRequest, json_file: Path | None) -> bool:
     return all(check.met is not False for check in verdict)
 
 
-def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
+def _soak_figures(launch: Launch, request: SoakRequest) -> dict[str, Any]:
     """All figures of a soak."""
     seconds = 60.0 * request.minutes
     ended_by = ""

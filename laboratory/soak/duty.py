@@ -10,8 +10,9 @@ import numpy as np
 
 from laboratory.soak.incidents import Journal
 from protocol.errors import LongreachError
-from testbed.realtime.rest_rig import JSON, RestRig, bearer
+from testbed.realtime.rest_rig import RestRig, bearer
 from testbed.reporting.console import Bar
+from vision_pc.application.results import JSON
 
 _LOOK: JSON = {"frames": 50}  # five seconds of looking at 10 pictures a second
 _STROKE_M = 0.15
@@ -52,7 +53,7 @@ class Duty:
             moves += 1
             if moves % (_IN_WARM_UP if self._journal.now_s < warm_up_s else _CALIBRATE_EVERY):
                 self._out = not self._out
-                self._attempt("move", {"X_BT": _stroked(home) if self._out else home}, overall)
+                self._attempt("move", {"X_BT": _stroke_end(home) if self._out else home}, overall)
             else:
                 self._attempt("trajectory-matching", {}, overall)
 
@@ -90,7 +91,7 @@ class Duty:
                 time.sleep(_RETRY_S)
 
 
-def _stroked(home: JSON) -> JSON:
+def _stroke_end(home: JSON) -> JSON:
     """The other end of the stroke. By its place: a fault may stop the arm anywhere, and by strokes that were
     counted from where it stood it went away from its object.
     """

@@ -11,7 +11,7 @@ import httpx
 import numpy as np
 
 from foundation.event_log import event_of
-from foundation.overload import WINDOW_NS
+from foundation.periods import WINDOW_NS
 from testbed.realtime.rest_rig import bearer
 
 AFTERMATH_S = 15.0  # how long after its end a cause still explains what goes wrong: settling, RESET, ENABLE

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import psutil
 
-from foundation.statistics import resident_mb
+from foundation.self_watch import resident_mb
 from laboratory.campaigns.experiment import Check, at_most
 from testbed.realtime.launch import CONTROLLER, PLANT
 from testbed.reporting.console import out, table
@@ -77,10 +77,10 @@ class ResourceWatch(threading.Thread):
         """The thread's work."""
         while True:
             families = {name: _family(pid) for name, pid in self._pids.items()}
-            held = _held(families)
+            held = _resident_by_family(families)
             for _ in range(_LOOKS - 1):
                 if not self._ended.wait(_BETWEEN_S):
-                    now = _held(families)
+                    now = _resident_by_family(families)
                     held = {name: min(held[name], now[name]) for name in held}
             at_s = time.monotonic() - self._began_s
             for name, family in families.items():
@@ -94,7 +94,7 @@ class ResourceWatch(threading.Thread):
         self.join()
 
 
-def _held(families: Mapping[str, list[psutil.Process]]) -> dict[str, float]:
+def _resident_by_family(families: Mapping[str, list[psutil.Process]]) -> dict[str, float]:
     return {name: sum(resident_mb(each.pid) for each in family) for name, family in families.items()}
 
 

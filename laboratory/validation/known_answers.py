@@ -8,7 +8,7 @@ from rich.table import Table
 
 from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Check, Experiment, Finished, NoSettings
-from laboratory.validation.oracles import MISSING_ORACLE
+from laboratory.validation.ledger import MISSING_ORACLE
 from laboratory.validation.plant_balances import (
     convergence,
     encoders,

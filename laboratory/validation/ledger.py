@@ -5,14 +5,15 @@ integrate every flow of oil and energy with the same stages, so that a balance s
 quadrature. What is stored is computed apart: motion and height by Pinocchio, compression by ∫ p/(ρβ) dp.
 """
 
+import importlib
 import math
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
-from laboratory.validation.oracles import PinocchioArm
 from laboratory.validation.plant_rig import Stand
 from plant_emulator.core import layout as col
 from plant_emulator.core.hydraulics.oil_rates import ATMOSPHERE
@@ -24,10 +25,98 @@ from plant_emulator.core.layout import (
     SPOOL,
     SUPPLY,
 )
+from plant_emulator.core.mechanics.multibody import Mechanism
 from plant_emulator.core.model import Model
 from plant_emulator.core.right_hand_side import Work, right_hand_side
+from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]
+MISSING_ORACLE = "configuration.missing_oracle"
+
+
+def oracle(name: str) -> ModuleType:
+    """The module of an oracle. Raises ConfigurationError when it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ConfigurationError(
+            MISSING_ORACLE, f"{name}, an independent oracle, is not installed: make setup-dev"
+        ) from error
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(v)) for v in np.ravel(values))
+
+
+def mujoco_xml(mech: Mechanism, options: str = "") -> str:
+    """An MJCF document of ``mech``: nested bodies in base axes; a massless body joins the next one."""
+    opened, depth = [], 0
+    joints: list[str] = []
+    for i in range(len(mech.mass)):
+        joints.append(
+            f'<joint name="angle {i}" type="hinge" axis="{_text(mech.axis[i])}" pos="{_text(mech.point[i])}"'
+            f' stiffness="{float(mech.stiffness[i])!r}" damping="{float(mech.damping[i])!r}"/>'
+        )
+        if mech.mass[i] == 0.0:
+            continue
+        inertia = mech.inertia[i]
+        full = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        opened.append(
+            f"<body>{''.join(joints)}<inertial pos='{_text(mech.centre[i])}' mass='{float(mech.mass[i])!r}'"
+            f" fullinertia='{_text(np.array(full))}'/>"
+        )
+        joints.clear()
+        depth += 1
+    return (
+        "<mujoco><compiler balanceinertia='false' boundmass='0' boundinertia='0' angle='radian'/>"
+        f"<option gravity='{_text(mech.gravity)}' {options}>"
+        "<flag contact='disable' constraint='disable'/></option>"
+        f"<worldbody>{''.join(opened)}{'</body>' * depth}</worldbody></mujoco>"
+    )
+
+
+class MujocoArm:
+    """``mech`` in MuJoCo, hinge springs left to the caller's force unless stepped by MuJoCo itself."""
+
+    def __init__(self, mech: Mechanism) -> None:
+        self._mujoco = oracle("mujoco")
+        rigid = mech._replace(stiffness=np.zeros_like(mech.mass), damping=np.zeros_like(mech.mass))
+        self._model = self._mujoco.MjModel.from_xml_string(mujoco_xml(rigid))
+        self._data = self._mujoco.MjData(self._model)
+
+    def acceleration(self, q: Array, rate: Array, force: Array) -> Array:
+        """Accelerations (n,) at ``q``, ``rate`` under generalised ``force``."""
+        self._data.qpos[:], self._data.qvel[:], self._data.qfrc_applied[:] = q, rate, force
+        self._mujoco.mj_forward(self._model, self._data)
+        return np.array(self._data.qacc)
+
+
+class PinocchioArm:
+    """``mech`` in Pinocchio: its own articulated-body algorithm, joint frames on the axes."""
+
+    def __init__(self, mech: Mechanism) -> None:
+        self._pin = pin = oracle("pinocchio")
+        self._model, parent, origin = pin.Model(), 0, np.zeros(3)
+        for i in range(len(mech.mass)):
+            joint = pin.JointModelRevoluteUnaligned(*(float(a) for a in mech.axis[i]))
+            parent = self._model.addJoint(
+                parent, joint, pin.SE3(np.eye(3), mech.point[i] - origin), f"angle {i}"
+            )
+            inertia = pin.Inertia(float(mech.mass[i]), mech.centre[i] - mech.point[i], mech.inertia[i])
+            self._model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            origin = mech.point[i]
+        self._model.gravity = pin.Motion(mech.gravity, np.zeros(3))
+        self._data = self._model.createData()
+
+    def acceleration(self, q: Array, rate: Array, force: Array) -> Array:
+        """Accelerations (n,) at ``q``, ``rate`` under generalised ``force``."""
+        return np.array(self._pin.aba(self._model, self._data, q, rate, force))
+
+    def energies(self, q: Array, rate: Array) -> tuple[float, float]:
+        """Kinetic energy and gravity's potential (J)."""
+        kinetic = self._pin.computeKineticEnergy(self._model, self._data, q, rate)
+        return float(kinetic), float(self._pin.computePotentialEnergy(self._model, self._data, q))
+
 
 N_CHAMBERS = 2 * N_ACTUATORS
 CHAMBERS = slice(PRESSURE_A, PRESSURE_B + N_ACTUATORS)  # bore pressures, then rod pressures
@@ -173,12 +262,12 @@ class Ledger:
         """Advance the stand by ``seconds`` and balance the books of that time; NaN wherever a state is."""
         stand = self._stand
         total, seen = np.zeros(N_INTEGRALS), np.array([np.inf, 0.0, 0.0])
-        energy, mass = self._stored()
+        energy, mass = self._stored_energy_and_mass()
         booked_steps(
             stand.state, self._drive, stand.command, round(seconds / step), step,
             stand.model, stand.work, self._oil, self._rates, total, seen,
         )  # fmt: skip
-        energy_after, mass_after = self._stored()
+        energy_after, mass_after = self._stored_energy_and_mass()
         given, returned, throttled, seals, hinges, advected = (float(value) for value in total[:MASSES])
         dissipated = throttled + seals + hinges
         return Balance(
@@ -191,7 +280,7 @@ class Ledger:
             stop_met=bool(seen[DEEPEST] > 0.0),
         )
 
-    def _stored(self) -> tuple[float, Array]:
+    def _stored_energy_and_mass(self) -> tuple[float, Array]:
         """Energy in motion, height, bending and compression, and the oil mass (12,) of each chamber."""
         stand, oil = self._stand, self._oil
         stand.rates()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.configuration import load
-from laboratory.validation.oracles import MujocoArm, PinocchioArm
+from laboratory.validation.ledger import MujocoArm, PinocchioArm
 from laboratory.validation.plant_rig import LIFT, Stand, ValidationCase, default_config, loaded_lift
 from laboratory.validation.plant_statics import settle_lift
 from plant_emulator.config.plant import PlantConfig

@@ -33,9 +33,9 @@ def loose_slew(config_dir: Path) -> list[ValidationCase]:
     for pull in (60.0, -60.0):
         pulled = _turntable(config_dir, pull)
         place = 1e3 * float(pulled.run(3.0, STEP, _play)[-1])
-        wanted = math.copysign(0.5 * WIDTH_MRAD, pull) + 1e3 * pull / stiffness
+        expected = math.copysign(0.5 * WIDTH_MRAD, pull) + 1e3 * pull / stiffness
         source = "b + τ / K; friction holds up to 20 N m of it"
-        cases.append(ValidationCase(25, f"flank under {pull:+g} N m", "mrad", wanted, place, 0.012, source))
+        cases.append(ValidationCase(25, f"flank under {pull:+g} N m", "mrad", expected, place, 0.012, source))
     held = 1e3 * abs(float(_turntable(config_dir, 10.0).run(3.0, STEP, _play)[-1]))
     source = "it sticks: τ / σ0 and some creep"
     cases.append(ValidationCase(25, "10 N m against 20 N m", "mrad", 0.1, held, 0.0, source, "at_most"))
@@ -85,9 +85,9 @@ def _meeting(config_dir: Path) -> list[ValidationCase]:
         at = stand.model.places.rate[play]
         stand.state[at] = speed
         seen = np.array(stand.run(0.2, 1e-4, partial(_state, at)))
-        wanted = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))
+        expected = math.exp(-math.pi * ratio / math.sqrt(1.0 - ratio * ratio))
         cases.append(
-            ValidationCase(25, f"speed back from a flank, damping {ratio:g}", "", wanted,
+            ValidationCase(25, f"speed back from a flank, damping {ratio:g}", "", expected,
                            -float(seen.min()) / speed, 0.03, "exp(−πζ/√(1 − ζ²)); it never pulls")
         )  # fmt: skip
     return cases
@@ -105,11 +105,11 @@ def tilting_ring(config_dir: Path) -> list[ValidationCase]:
     free = 0.5 * ring.play_mm / ring.diameter_m
     bent = bent_pose(stand.model, stand.angles)
     moment = standing_torque(stand.model, bent)[[at, at + 1]]
-    wanted = free + 1e3 * float(np.linalg.norm(moment)) / ring.stiffness_nm_rad
+    expected = free + 1e3 * float(np.linalg.norm(moment)) / ring.stiffness_nm_rad
     leant = 1e3 * float(np.hypot(*bent[[at, at + 1]]))
     cases = [
-        ValidationCase(26, "lean of the start pose", "mrad", wanted, leant, 1e-6, "play / 2 D + M / K"),
-        ValidationCase(26, "it leans forward", "mrad", wanted, 1e3 * float(bent[at + 1]), 0.02, "gravity"),
+        ValidationCase(26, "lean of the start pose", "mrad", expected, leant, 1e-6, "play / 2 D + M / K"),
+        ValidationCase(26, "it leans forward", "mrad", expected, 1e3 * float(bent[at + 1]), 0.02, "gravity"),
     ]
     for name, axis in (("roll", 0), ("pitch", 1)):
         cases.append(_stands(config_dir, name, axis))
@@ -131,9 +131,9 @@ def _stands(config_dir: Path, name: str, axis: int) -> ValidationCase:
     stand.hang(at + 1, [Lump(load, centre, 200.0 * np.eye(3))])
     stand.model.mechanism.gravity[:] = weight
     stand.run(3.0, STEP)
-    wanted = 0.5 * ring.play_mm / ring.diameter_m + 2e6 / ring.stiffness_nm_rad
+    expected = 0.5 * ring.play_mm / ring.diameter_m + 2e6 / ring.stiffness_nm_rad
     return ValidationCase(
-        26, f"{name} under 2 kN m", "mrad", wanted, 1e3 * float(stand.state[place.angle[at + axis]]),
+        26, f"{name} under 2 kN m", "mrad", expected, 1e3 * float(stand.state[place.angle[at + axis]]),
         0.01, "play / 2 D + M / K",
     )  # fmt: skip
 

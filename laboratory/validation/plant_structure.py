@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from laboratory.validation.oracles import MujocoArm, PinocchioArm
+from laboratory.validation.ledger import MujocoArm, PinocchioArm
 from laboratory.validation.plant_dynamics import decrement, period
 from laboratory.validation.plant_rig import Stand, ValidationCase, default_config
 from plant_emulator.core import layout as col
@@ -41,12 +41,12 @@ def several_hinges(config_dir: Path) -> list[ValidationCase]:
         for link, pivot in (("boom", "lift"), ("arm", "tilt")):
             drop, slope = _bent_tip(stand, link, pivot)
             beam = getattr(stand.config.flexibility, link)
-            wanted = NEWTONS * beam.length_m**3 / (3.0 * beam.vertical_ei_n_m2) * 1e3
+            expected = NEWTONS * beam.length_m**3 / (3.0 * beam.vertical_ei_n_m2) * 1e3
             turned = NEWTONS * beam.length_m**2 / (2.0 * beam.vertical_ei_n_m2) * 1e3
             name = f"{link} of {len(places)} hinges from {places[0]:g}"
             cases.append(
                 ValidationCase(
-                    21, f"{name}, tip under 1 kN", "mm", wanted, drop, 2e-3 * wanted, "P L³ / 3 EI"
+                    21, f"{name}, tip under 1 kN", "mm", expected, drop, 2e-3 * expected, "P L³ / 3 EI"
                 )
             )
             cases.append(
@@ -99,10 +99,12 @@ def twist(config_dir: Path) -> list[ValidationCase]:
             stand.clamp_all_but(at)
             stand.hang(at, [sphere(100.0, root + axis + np.array([0.0, -side, 0.0]), 0.0)])
             torque = 100.0 * stand.config.gravity_m_s2 * side
-            wanted = torque * (beam.length_m / gj + (1.0 / pin if len(entries) == 2 else 0.0)) * 1e3
+            expected = torque * (beam.length_m / gj + (1.0 / pin if len(entries) == 2 else 0.0)) * 1e3
             obtained = float(bent_pose(stand.model, q)[at]) * 1e3
             cases.append(
-                ValidationCase(22, f"{link} {on}, 100 kg 0.3 m aside", "mrad", wanted, obtained, 3e-4, source)
+                ValidationCase(
+                    22, f"{link} {on}, 100 kg 0.3 m aside", "mrad", expected, obtained, 3e-4, source
+                )
             )  # fmt: skip
     return cases
 
@@ -115,10 +117,10 @@ def rocking(config_dir: Path) -> list[ValidationCase]:
         stand, base, step = Stand(config, START), config.errors.rocking_base, 5e-4
         at = stand.at(name)
         stand.clamp_all_but(at)
-        wanted, zeta = base.frequency_hz[k], base.damping_ratio
+        expected, zeta = base.frequency_hz[k], base.damping_ratio
         stand.state[stand.model.places.angle[at]] = 1e-3
-        seen = np.array(stand.run(12.0 / wanted, step, lambda s, at=at: float(s.angles[at])))  # type: ignore[misc]
-        damped = wanted * math.sqrt(1.0 - zeta * zeta)
+        seen = np.array(stand.run(12.0 / expected, step, lambda s, at=at: float(s.angles[at])))  # type: ignore[misc]
+        damped = expected * math.sqrt(1.0 - zeta * zeta)
         expected = 2.0 * math.pi * zeta / math.sqrt(1.0 - zeta * zeta)
         cases.append(
             ValidationCase(
@@ -149,9 +151,9 @@ def _shaken(config_dir: Path) -> ValidationCase:
     seen = np.array(stand.run(1.0, 5e-4, lambda s: float(s.angles[at])))
     own, driven = 2.0 * math.pi * config.errors.rocking_base.frequency_hz[0], 2.0 * math.pi * 20.0
     lag = complex(own * own - driven * driven, 2.0 * 0.2 * own * driven)
-    wanted = 1000.0 / (inertia * abs(lag)) * 1e3
+    expected = 1000.0 / (inertia * abs(lag)) * 1e3
     return ValidationCase(
-        23, "roll under an engine of 20 Hz", "mrad", wanted, 0.5e3 * float(np.ptp(seen)), 0.005 * wanted,
+        23, "roll under an engine of 20 Hz", "mrad", expected, 0.5e3 * float(np.ptp(seen)), 0.005 * expected,
         "M / J |ω0² − ω² + 2iζω0ω|",
     )  # fmt: skip
 

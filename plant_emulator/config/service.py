@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel, load
-from foundation.live.settings import LiveSettings
+from foundation.live import LiveSettings
+from foundation.periods import Policy
 from foundation.rest.tokens import TokenSources
-from foundation.scheduling import Policy
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
 

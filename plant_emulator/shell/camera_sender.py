@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from foundation.event_log import process_log
-from foundation.scheduling import Policy, take_policy
+from foundation.periods import Policy, take_policy
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.exposures import CameraMotion, CameraView, Capture, Exposures, Shot
 from plant_emulator.core.camera.scene import Scene

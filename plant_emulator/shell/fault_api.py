@@ -25,12 +25,11 @@ from starlette.types import Scope
 
 from foundation.event_log import EventLog, process_log
 from foundation.extensions import lines
-from foundation.rest.access import configured_access
-from foundation.rest.docs_page import add_docs
-from foundation.rest.problems import problem
-from foundation.rest.refusals import Refusal
+from foundation.periods import Policy, take_policy
+from foundation.rest.files import add_docs
+from foundation.rest.problems import Refusal, problem
 from foundation.rest.server import RestServer, install_problems
-from foundation.scheduling import Policy, take_policy
+from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.faults.schedule import (
     MOST_BYTES,

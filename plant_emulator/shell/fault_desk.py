@@ -10,7 +10,7 @@ from typing import Any
 
 from foundation.event_log import EventLog
 from foundation.extensions import Extensions, installed, of_type
-from foundation.rest.access import configured_access
+from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out, fault_state, true_points

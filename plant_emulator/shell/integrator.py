@@ -4,8 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from foundation.durations import DurationHistogram, percent_missed
-from foundation.periodic_timer import PeriodicTimer
+from foundation.periods import DurationHistogram, PeriodicTimer, percent_missed
 from plant_emulator.core.plant import Plant
 
 

@@ -1,6 +1,6 @@
 """What the emulator's statistics are called where Prometheus reads them."""
 
-from foundation.live.metrics import Figure, counters
+from foundation.live.wire import Figure, counters
 from plant_emulator.core.coupler.answers import CouplerStatistics
 
 _PROCESSES = {"plant": "", "renderer": "renderer_", "fault_api": "fault_api_"}

@@ -10,16 +10,14 @@ from typing import Any
 
 from foundation.event_log import EventLog
 from foundation.live.feed import LiveShow, Opened, open_show
-from foundation.live.metrics import Spread, exposition
-from foundation.overload import Limit, Tally
-from foundation.ports import bound_tcp
-from foundation.recording.recording_thread import RecordingThread
+from foundation.live.wire import Spread, exposition
+from foundation.periods import Limit, Tally, take_fifo
+from foundation.recording.decoding import session_entries
+from foundation.recording.messages import RecordingThread
 from foundation.recording.recovery import recording_directory
-from foundation.recording.session import session_entries
-from foundation.scheduling import take_fifo
-from foundation.self_watch import SelfWatch
+from foundation.secret_source import bound_tcp
+from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
-from foundation.statistics import StatisticsFile, resident_mb
 from plant_emulator.config.service import Endpoint, PlantSideConfig
 from plant_emulator.core.camera.exposures import STILL, CameraView
 from plant_emulator.core.camera.scene import Scene

@@ -16,13 +16,14 @@ from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import (
     EventMessage,
     MessageField,
+    RecordingThread,
+    RecordSink,
     event_bytes,
     format_of,
     log_line,
     message_class,
     transforms,
 )
-from foundation.recording.recording_thread import RecordingThread, RecordSink
 from plant_emulator.core.camera.exposures import CameraMotion
 from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth

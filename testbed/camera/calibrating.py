@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from protocol.errors import ConfigurationError, MeasurementFailed, RequestRefused
-from testbed.camera.checking import PLAIN
+from testbed.camera.checking import PLAIN, question
 from testbed.camera.pairs import AskedBoard, Taken, found_board, take
-from testbed.pictures.board_question import question
 from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.camera_files.reading import read_calibrations, write_calibration

@@ -1,17 +1,16 @@
-"""`longreach camera check`: is this camera fit for vision, what is wrong with it, and what to do about
-that.
-"""
+"""Whether a stereo camera is as its file says, and whether a board is the one that was asked for."""
 
 import contextlib
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
-from protocol.errors import MeasurementFailed
+from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.camera.pairs import AskedBoard, Taken, found_board, take
-from testbed.pictures.board_question import question
 from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import PinholePair
 from vision_pc.config.stereo_camera import StereoCalibration
@@ -20,7 +19,53 @@ from vision_pc.core.perception import intrinsics, look, pair_check
 from vision_pc.core.perception.pair_check import PictureReport, RowReport, board_offset
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
 from vision_pc.core.perception.stereo_fit import PairView
-from vision_pc.core.types import FrameObservation, PointPairs, StereoOffset, StereoPair
+from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
+from vision_pc.core.types import FrameObservation, Image, PointPairs, StereoOffset, StereoPair
+
+_LOOKED_AT = 5
+_SMALLEST = (3, 3)
+
+
+def counts_shown(pictures: Sequence[Image]) -> tuple[int, int] | None:
+    """The inner corners, more by fewer, of the checkerboard that most of a few pictures show whole; None
+    where they do not agree.
+    """
+    chosen = np.unique(np.linspace(0, len(pictures) - 1, min(_LOOKED_AT, len(pictures))).round().astype(int))
+    seen: Counter[tuple[int, int]] = Counter()
+    for k in chosen:
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(pictures[k], _SMALLEST, cv2.CALIB_CB_LARGER)
+        if found and min(meta.shape) > min(_SMALLEST):  # so few corners are in any texture
+            seen[max(meta.shape), min(meta.shape)] += 1
+    most = seen.most_common(1)
+    return most[0][0] if most and 2 * most[0][1] > seen.total() else None
+
+
+def question(pictures: Sequence[Image], board: Checkerboard | Charuco, found: int) -> None:
+    """Say what is doubtful about ``board``, of which ``found`` pictures show one.
+
+    Raises RequestRefused (``refused.board.counts``) where another one is there, and none is found, or
+    ``board`` is but a part of it: it may be another part in every picture.
+    """
+    if isinstance(board, Charuco):
+        return
+    asked = (max(board.columns, board.rows), min(board.columns, board.rows))
+    shown = counts_shown(pictures)
+    if shown is not None and shown != asked:
+        why = (
+            f"the pictures show a board of {shown[0]}x{shown[1]} inner corners, asked for are "
+            f"{board.columns}x{board.rows}: --columns and --rows count corners where four squares meet, "
+            "one fewer than squares each way"
+        )
+        if not found or (shown[0] >= asked[0] and shown[1] >= asked[1]):
+            raise RequestRefused("refused.board.counts", why)
+        out.print(why, style="yellow", highlight=False, soft_wrap=True)
+    if (board.columns + board.rows) % 2 == 0:
+        out.print(
+            f"a board of {board.columns}x{board.rows} corners looks the same half a turn on: its upper edge "
+            "must be up in every picture; one of 9x6 may be held anyhow",
+            style="yellow", highlight=False, soft_wrap=True,
+        )  # fmt: skip
+
 
 _LEAST_POINTS = 60
 _ROWS_PX, _SPREAD_PX, _CELL_PX = 1.0, 0.8, 1.0  # [D] half of what odometry takes, the worst called rectified

@@ -1,6 +1,4 @@
-"""Pairs as a camera takes them, from wherever they are: a recording, pictures, a film, a device, the running
-plant.
-"""
+"""Pairs of pictures of a stereo camera: read from directories, or rendered by the emulation."""
 
 import asyncio
 import contextlib
@@ -11,16 +9,24 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.config.surroundings import AnyBoardConfig, CharucoConfig, CheckerboardConfig
+from plant_emulator.core.camera.cabinet import board_pose
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import ConfigurationError, LinkLost
+from testbed.reporting.console import bars, out
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.choices import Detector
+from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.stereo_fit import PairView
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
+from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.cameras.directory import TABLE, read_grey, recorded_pairs
+from vision_pc.shell.cameras.directory import TABLE, PairRecorder, read_grey, recorded_pairs
 from vision_pc.shell.cameras.uvc import halves
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
@@ -90,12 +96,12 @@ def _film(path: Path, most: int) -> list[StereoPair]:
     try:
         if not film.isOpened():
             raise ConfigurationError("configuration.bad_recording", f"{path}: no film that can be decoded")
-        return _spread(list(_decoded(film, str(path))), most)
+        return _spread(list(_decode_film(film, str(path))), most)
     finally:
         film.release()
 
 
-def _decoded(film: cv2.VideoCapture, path: str) -> Iterator[StereoPair]:
+def _decode_film(film: cv2.VideoCapture, path: str) -> Iterator[StereoPair]:
     number = 0
     while True:
         taken, picture = film.read()
@@ -135,3 +141,117 @@ def found_board(pair: StereoPair, board: AskedBoard, name: str) -> PairView:
         for picture in (pair.left, pair.right)
     ]
     return stereo_fit.paired(views[0], views[1])
+
+
+_PERIOD_NS = 100_000_000
+_BEHIND = se3.transform(np.eye(3), (0.0, 0.0, -5.0))  # the tool marker, out of sight
+_RIM_PX = 6.0
+_TRIES = 4000
+_AWAY_M = (0.9, 1.3)  # from the object, as on the arm when it looks
+_ASIDE_M = ((0.15, 0.22), (-0.08, 0.08))  # to the right of the object: the tool's marker hides none of it
+_TURNED_DEG = 4.0
+
+
+def board_pairs(scene: SceneConfig, board: AskedBoard, count: int, seed: int) -> list[StereoPair]:
+    """``count`` pairs of ``board``, whole in both eyes of the scene's camera, in places and tilts drawn by
+    ``seed``.
+    """
+    config = scene.model_copy(
+        update={"boards": (_config(board),), "obstacles": (), "rebar": (), "passers": ()}
+    )
+    eyes = StereoCamera(config.camera, Scene(config), seed)
+    rng = np.random.default_rng([seed, 0x626F61])
+    X_WP = eyes.scene.mounts.X_WO @ board_pose(config.boards[0])
+    pairs: list[StereoPair] = []
+    with bars() as shown, shown.step("rendering boards") as bar:
+        for k in range(count):
+            X_WC = X_WP @ se3.inverse(_view(eyes, board, X_WP, rng))
+            left, right = eyes.render(X_WC, X_WC @ _BEHIND, k + 1)
+            pairs.append(StereoPair(left, right, (k + 1) * _PERIOD_NS, k + 1))
+            bar.update((k + 1) / count)
+    return pairs
+
+
+def marker_pairs(scene: SceneConfig, count: int, seed: int) -> list[StereoPair]:
+    """``count`` pairs of the object's markers and the tool's, as the scene's camera sees them on an arm that
+    rests before the wall, in a place drawn by ``seed``.
+    """
+    eyes = StereoCamera(scene.camera, Scene(scene), seed)
+    mounts, rng = eyes.scene.mounts, np.random.default_rng([seed, 0x6D61726B])
+    turn = se3.exp_so3(np.radians(rng.uniform(-_TURNED_DEG, _TURNED_DEG, 3)))
+    place = [rng.uniform(*between) for between in (*_ASIDE_M, _AWAY_M)]
+    X_WC = mounts.X_WO @ se3.transform(np.diag([1.0, -1.0, -1.0]) @ turn, place)
+    X_WM = X_WC @ se3.inverse(mounts.X_TC) @ mounts.X_TM
+    pairs: list[StereoPair] = []
+    with bars() as shown, shown.step("rendering markers") as bar:
+        for k in range(count):
+            left, right = eyes.render(X_WC, X_WM, k + 1)
+            pairs.append(StereoPair(left, right, (k + 1) * _PERIOD_NS, k + 1))
+            bar.update((k + 1) / count)
+    return pairs
+
+
+def _view(eyes: StereoCamera, board: AskedBoard, X_WP: Array, rng: np.random.Generator) -> Array:
+    """X_CP (4, 4), the board's middle before the camera, with all of it in both pictures."""
+    camera = eyes.config
+    extent = np.array([board.columns + 2, board.rows + 2]) * board.square_m
+    half = 0.5 * extent
+    rim = np.array([[x, y, 0.0] for x in (-half[0], 0.0, half[0]) for y in (-half[1], 0.0, half[1])])
+    for _ in range(_TRIES):
+        turn = se3.exp_so3(np.radians(rng.uniform([-45.0, -45.0, -30.0], [45.0, 45.0, 30.0])))
+        depth = rng.uniform(1.1, 2.2) * camera.lens.fx_px * extent[0] / camera.width_px
+        pixel = rng.uniform((0.0, 0.0), (camera.width_px, camera.height_px))
+        ray = (pixel - (camera.lens.cx_px, camera.lens.cy_px)) / (camera.lens.fx_px, camera.lens.fy_px)
+        X_CP = se3.transform(turn @ np.diag([1.0, -1.0, -1.0]), (*(ray * depth), depth))
+        X_WC = X_WP @ se3.inverse(X_CP)
+        seen = np.concatenate(eyes.project(X_WC, se3.apply(X_WP, rim)))
+        inside = (seen > _RIM_PX) & (seen < np.array([camera.width_px, camera.height_px]) - _RIM_PX)
+        if np.isfinite(seen).all() and inside.all():
+            return X_CP
+    raise ConfigurationError("configuration.bad_board", "the board does not fit into both pictures")
+
+
+def _config(board: AskedBoard) -> AnyBoardConfig:
+    where = {
+        "position_m": (0.0, 0.0, 0.05),
+        "columns": board.columns,
+        "rows": board.rows,
+        "square_m": board.square_m,
+    }
+    if not isinstance(board, Charuco):
+        return CheckerboardConfig.model_validate({"kind": "checkerboard", **where})
+    names = {getattr(cv2.aruco, name): name for name in ("DICT_5X5_100", "DICT_5X5_1000")}
+    if board.dictionary not in names:
+        raise ConfigurationError(
+            "configuration.bad_board", "boards are emulated of DICT_5X5_100 and DICT_5X5_1000"
+        )
+    marker = {"marker_m": board.marker_m, "dictionary": names[board.dictionary]}
+    return CharucoConfig.model_validate({"kind": "charuco", **where, **marker})
+
+
+def run_emulate(scene: SceneConfig, board: AskedBoard | None, count: int, seed: int, to: Path) -> None:
+    """Write pairs of ``board``, or of the markers where it is None, to ``to``: a film where it ends in .avi,
+    else a recording's directory.
+    """
+    pairs = marker_pairs(scene, count, seed) if board is None else board_pairs(scene, board, count, seed)
+    if to.suffix.lower() == ".avi":
+        _filmed_scene(pairs, to)
+    else:
+        recorder = PairRecorder(to)
+        for pair in pairs:
+            recorder.add(pair)
+        recorder.close()
+    what = "the markers" if board is None else "a board"
+    out.print(f"{to}: {len(pairs)} raw pairs of {what}", highlight=False)
+
+
+def _filmed_scene(pairs: list[StereoPair], to: Path) -> None:
+    """Both eyes side by side, as a ZED delivers them."""
+    height, width = pairs[0].left.shape
+    film = cv2.VideoWriter(str(to), cv2.VideoWriter.fourcc(*"MJPG"), 1e9 / _PERIOD_NS, (2 * width, height))
+    film.set(cv2.VIDEOWRITER_PROP_QUALITY, 100.0)
+    if not film.isOpened():
+        raise ConfigurationError("configuration.unwritable", f"{to}: no film can be written there")
+    for pair in pairs:
+        film.write(cv2.cvtColor(np.hstack([pair.left, pair.right]), cv2.COLOR_GRAY2BGR))
+    film.release()

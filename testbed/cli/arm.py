@@ -11,7 +11,7 @@ from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.reporting.console import out, table, writable, write_json
 
 if TYPE_CHECKING:
-    from testbed.arms.check import ArmFinding
+    from testbed.arms import ArmFinding
 
 app = typer.Typer(help="Arms: which there are, whether one is right, one of your own.", no_args_is_help=True)
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
@@ -29,7 +29,7 @@ def list_arms(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
     """The arms that --arm takes by name: what each is, and its reach."""
     from nominal_arm.dimensions import boom_dimensions
     from testbed.scenarios.arms import arm_directory, arm_names
-    from testbed.scenarios.settings import load_settings
+    from testbed.scenarios.scenario import load_settings
 
     rows = []
     for name in arm_names(config_dir):
@@ -60,8 +60,8 @@ def check(
 
 def _findings(directory: Path) -> "Iterator[ArmFinding]":
     """Each file that cannot be read, or what the files say of each other."""
-    from testbed.arms.check import ArmFinding, check_arm
-    from testbed.scenarios.settings import load_settings, loaders
+    from testbed.arms import ArmFinding, check_arm
+    from testbed.scenarios.scenario import load_settings, loaders
 
     wrong = []
     for name, load in loaders(directory, {}).items():
@@ -79,9 +79,9 @@ def new(
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """Make a directory with what differs from arm to arm, copied from one that is there, to be edited."""
-    from testbed.arms.new import begin_arm
+    from testbed.arms import begin_arm
     from testbed.scenarios.arms import ARMS_DIR, arm_directory
-    from testbed.scenarios.settings import load_settings
+    from testbed.scenarios.scenario import load_settings
 
     source = arm_directory(config_dir, like)
     directory = Path(chosen) if "/" in chosen else config_dir / ARMS_DIR / chosen
@@ -99,7 +99,7 @@ def draw(
     """The arm from the side at its start pose, the object, the wrist's reach and the tool's workspace."""
     from testbed.pictures.machine import draw_machine
     from testbed.scenarios.arms import arm_directory
-    from testbed.scenarios.settings import load_settings
+    from testbed.scenarios.scenario import load_settings
 
     draw_machine(load_settings(arm_directory(config_dir, chosen), {}), path, reach=True)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)

@@ -7,8 +7,7 @@ import typer
 
 from foundation.command_options import unfolded
 from protocol.errors import RequestRefused
-from testbed.cli.hand_eye.options import PicturedBoard
-from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Settings
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, PicturedBoard, Seed, Settings
 from vision_pc.config.choices import LensModel
 
 if TYPE_CHECKING:
@@ -110,8 +109,8 @@ def emulate(
     settings: Settings = None,
 ) -> None:
     """Pairs of a board, or of the markers, as the emulator's raw camera takes them."""
-    from testbed.camera.emulating import run_emulate
-    from testbed.scenarios.settings import chosen_overrides, load_settings
+    from testbed.camera.pairs import run_emulate
+    from testbed.scenarios.scenario import chosen_overrides, load_settings
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     asked = None if markers else _board_of(board)

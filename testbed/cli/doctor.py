@@ -14,13 +14,12 @@ from foundation.extensions import Extensions
 from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.shell.fault_desk import every_kind, installed_faults
 from protocol.errors import ConfigurationError
-from testbed.arms.check import check_arm
+from testbed.arms import check_arm
 from testbed.realtime import doctor
-from testbed.realtime.arm_check import arm_check
-from testbed.realtime.doctor import HealthCheck
+from testbed.realtime.doctor import HealthCheck, arm_check
 from testbed.realtime.launch import ports_in_use
 from testbed.reporting.console import bars, out, words, write_json
-from testbed.scenarios.settings import Overrides, Settings, load_settings, loaders
+from testbed.scenarios.scenario import Overrides, Settings, load_settings, loaders
 from vision_pc.shell.installed_programs import every_program, installed_programs
 
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}

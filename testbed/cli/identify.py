@@ -10,8 +10,19 @@ from foundation.configuration import configuration_hash, parse_overrides
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from testbed.cli.options import IdentifyOptions
-from testbed.identification.checks import Machine, check_recording
-from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
+from testbed.identification.excitation import (
+    FINE_STEP_MS,
+    candidates,
+    chosen,
+    held_out,
+    information_of,
+    informed,
+    not_told,
+    record,
+    standard,
+    widest_overlap,
+)
+from testbed.identification.excitation import PLANNED_JOINTS as PLANNED
 from testbed.identification.findings import (
     excess,
     findings,
@@ -22,12 +33,16 @@ from testbed.identification.findings import (
 )
 from testbed.identification.fit import identify, problem_of
 from testbed.identification.parameters import parameters_of
-from testbed.identification.planning import JOINTS as PLANNED
-from testbed.identification.planning import candidates, chosen, information_of, informed, not_told
-from testbed.identification.recording import hex_hash, read_recording, write_recording
+from testbed.identification.recording import (
+    Machine,
+    check_recording,
+    hex_hash,
+    read_recording,
+    write_recording,
+)
 from testbed.identification.validation import check_believable, check_noise, leaves_noise, validate
 from testbed.reporting.console import Columns, bars, listed, out, writable, write_json
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 
 
 class ToIdentify(NamedTuple):
@@ -46,22 +61,26 @@ def run_identify(
         return make_recording(asked, writable(recording) or recording, seed)
     if options.plan:
         return make_plan(asked, recording, options, json_file)
-    told = read_recording(recording)
-    joints = check_recording(told, asked.machine)
+    motion = read_recording(recording)
+    joints = check_recording(motion, asked.machine)
     with bars() as shown, shown.step("fitting the plant") as bar, pool_of(options.workers) as pool:
-        found = identify(asked.plant, told, joints, pool, lambda note: bar.update(0.5, note))
-        signals = validate(found, told)
+        found = identify(asked.plant, motion, joints, pool, lambda note: bar.update(0.5, note))
+        signals = validate(found, motion)
     fitted = findings(found)
     for made in (*first_stages(found.simple), found_table(fitted), validation_table(signals)):
         out.print(made)
     chi = excess(found)
-    out.print(f"χ² of what is left: {chi:.2f} of the noise; {found.runs} runs of the plant")
-    figures = {"recording": told.sha256, "chi2_per_sample": chi, "chi2_still_promised": found.whole.promised}
+    out.print(f"χ² of what is left: {chi:.2f} of the noise; {found.whole.runs} runs of the plant")
+    figures = {
+        "recording": motion.sha256,
+        "chi2_per_sample": chi,
+        "chi2_still_promised": found.whole.promised,
+    }
     write_json(json_file, {**figures, "parameters": fitted, "signals": signals})
     check_believable(found, signals)
     if not options.unsure:
         check_noise(signals)
-    write_plant_file(options.plant_file, found, asked.plant, told, leaves_noise(signals))
+    write_plant_file(options.plant_file, found, asked.plant, motion, leaves_noise(signals))
     out.print(f"{options.plant_file}: the plant, as the emulator loads it", highlight=False, soft_wrap=True)
     return True
 
@@ -79,20 +98,20 @@ def make_recording(asked: ToIdentify, path: Path, seed: int) -> bool:
     plant = asked.plant.model_copy(update={"step_ms": min(asked.plant.step_ms, FINE_STEP_MS)})
     made = record(plant, asked.machine, standard(overlap), held_out(overlap), seed)
     written = write_recording(path, made)
-    told = f"{len(written.time_s)} samples, {written.time_s[-1]:.1f} s, sha256 {written.sha256[:12]}"
-    out.print(f"{path}: {told}", highlight=False, soft_wrap=True)
+    summary = f"{len(written.time_s)} samples, {written.time_s[-1]:.1f} s, sha256 {written.sha256[:12]}"
+    out.print(f"{path}: {summary}", highlight=False, soft_wrap=True)
     return True
 
 
 def make_plan(asked: ToIdentify, path: Path, options: IdentifyOptions, json_file: Path | None) -> bool:
     """Show what the recording at ``path``, if there is one, cannot give, and the pieces that give most."""
     parameters, before = parameters_of(asked.plant, PLANNED), None
-    told = read_recording(path) if path.exists() else None
+    motion = read_recording(path) if path.exists() else None
     pieces = candidates(widest_overlap(asked.plant))
     with bars() as shown, shown.step("weighing pieces") as bar, pool_of(options.workers) as pool:
-        if told is not None:
-            check_recording(told, asked.machine)
-            before = information_of(problem_of(asked.plant, told, PLANNED), len(parameters), pool)
+        if motion is not None:
+            check_recording(motion, asked.machine)
+            before = information_of(problem_of(asked.plant, motion, PLANNED), len(parameters), pool)
         weighed = []
         for piece in pieces:
             weighed.append(informed(asked.plant, asked.arm, asked.machine, piece, pool))

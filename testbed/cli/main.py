@@ -95,7 +95,7 @@ def up(
 ) -> None:
     """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
     from testbed.realtime.up import run_up
-    from testbed.scenarios.settings import chosen_overrides, with_face
+    from testbed.scenarios.scenario import chosen_overrides, with_face
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     world = with_face(overrides, start.allow_faults, start.show_truth)
@@ -162,7 +162,7 @@ def commission(
     """
     from foundation.configuration import parse_overrides
     from testbed.commissioning.command import CommissionRequest, run_commission
-    from testbed.scenarios.named_requests import fault_orders
+    from testbed.scenarios.scenario import fault_orders
 
     overrides = parse_overrides(settings or [])
     names = [name.strip() for name in joints.split(",")]
@@ -187,12 +187,10 @@ def demo(
     json_file: JsonFile = None,
 ) -> None:
     """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
-    from testbed.demonstration.holes import HOLES
-    from testbed.demonstration.lockstep import run_lockstep_demo
-    from testbed.demonstration.realtime import run_demo
-    from testbed.reporting.presentation import Choice
-    from testbed.scenarios.named_requests import fault_orders, named_request
-    from testbed.scenarios.settings import chosen_overrides, with_face
+    from testbed.demonstration.runs import run_demo, run_lockstep_demo
+    from testbed.demonstration.sequence import HOLES
+    from testbed.reporting.run_directory import Choice
+    from testbed.scenarios.scenario import chosen_overrides, fault_orders, named_request, with_face
 
     holes = chosen.target is DemoTarget.HOLE
     programs = tuple(named_request(word) for word in disturbed.program or [])
@@ -236,7 +234,7 @@ def odometry(
     Beside the trajectory a CSV has a line a pair: map, loss and its cause, health, covariance. What comes
     after a gap that nothing bridges has a trajectory of its own.
     """
-    from testbed.cli.odometry import OdometryRequest, run_odometry
+    from testbed.cli.perception import OdometryRequest, run_odometry
 
     request = OdometryRequest(config_dir, left, right, calib, options, settings or [])
     raise typer.Exit(0 if run_odometry(request, json_file) else 1)
@@ -258,7 +256,7 @@ def markers(
     json_file: JsonFile = None,
 ) -> None:
     """Markers in pictures, without rig or controller; exit status 1 where one that is wanted is missing."""
-    from testbed.cli.markers import run_markers
+    from testbed.cli.perception import run_markers
 
     found = run_markers(pictures, right or [], dictionary, number or [], directory, json_file)
     raise typer.Exit(0 if found else 1)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import JsonFile
-from testbed.reporting.console import out, table, write_json
-from testbed.reporting.ctrl_c import nothing_half_made
+from testbed.reporting.console import nothing_half_made, out, table, write_json
 
 if TYPE_CHECKING:
     from foundation.recording.recovery import Contents
@@ -78,7 +77,7 @@ def to_csv(
     json_file: JsonFile = None,
 ) -> None:
     """One CSV file a topic, a column a number, times in nanoseconds."""
-    from testbed.recordings.tables import write_tables
+    from testbed.recordings.comparison import write_tables
 
     rows, left_out = write_tables(file, directory)
     for name, count in rows.items():

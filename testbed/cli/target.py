@@ -41,8 +41,7 @@ def target(
     json_file: JsonFile = None,
 ) -> None:
     """A marker or board as a PDF at true scale, with rulers that tell whether the printer kept it."""
-    from testbed.pictures.target_page import run_target
-    from testbed.pictures.target_shapes import board_shape, dictionary_number, marker_shape
+    from testbed.pictures.target_page import board_shape, dictionary_number, marker_shape, run_target
     from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 
     if (asked.board is None) == (asked.marker is None):

@@ -1,11 +1,14 @@
-"""Which rows of a stroke tell of its valve's edge: oil flows, the spool follows, the joint moves; pure."""
+"""Rows of a ramp: its halves and plateaus, the friction they show, and repeated values with their spread."""
 
+import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.recording import Array, StrokeRecord
 
@@ -57,12 +60,12 @@ def _half(stroke: StrokeRecord, way: float, compliance: float) -> Half:
     index, top = np.arange(len(flow)), float(flow.max())
     mine = (index < stroke.top) if way > 0.0 else (index > stroke.top)
     flows = (flow > SLOW * top) & (flow < _FAST * top) & _moves(stroke)
-    runs = _runs(mine & flows & _settled(stroke) & (stroke.fed_bar > FED_BAR))
+    runs = _runs(mine & flows & _is_settled(stroke) & (stroke.fed_bar > FED_BAR))
     longest = max((_seconds(stroke, rows) for rows in runs), default=0.0)
     return Half(stroke, [rows for rows in runs if _seconds(stroke, rows) >= _LEAST_S], way, longest)
 
 
-def _settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
+def _is_settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
     """Whether the command has gone at the ramp's rate for as long as a spool takes to follow it (n,)."""
     quick = np.abs(np.gradient(stroke.u, stroke.t)) >= 1.5 * rate_of(stroke)  # a start, the turn at the top
     since = np.where(quick, stroke.t, stroke.t[0])
@@ -102,3 +105,81 @@ def smoothed_speed(stroke: StrokeRecord, compliance: float = 0.0) -> Array:
     index = np.arange(len(stroke.t))
     before, after = np.maximum(index - half, 0), np.minimum(index + half, len(index) - 1)
     return np.asarray((passed[after] - passed[before]) / (stroke.t[after] - stroke.t[before]))
+
+
+class Uncertain(NamedTuple):
+    """``value`` with its standard deviation ``std``, in the same unit."""
+
+    value: float
+    std: float
+
+
+def repeated(values: Sequence[float], floor: float) -> Uncertain:
+    """The mean of ``values`` as one number.
+
+    ``floor``: standard deviation of what all of them share (the model's own error), which repeating does not
+    reduce. The scatter of n values counts with Student's spread, (n − 1)/(n − 3) above three values, and 3
+    times below: so few say little about their own scatter.
+    """
+    data = np.asarray(values, dtype=np.float64)
+    n = len(data)
+    if n < 2:
+        raise ValueError(f"{n} values: at least two are wanted")
+    scatter = float(data.std(ddof=1)) / math.sqrt(n)
+    widened = scatter * math.sqrt((n - 1) / (n - 3) if n > 3 else 3.0)
+    return Uncertain(float(data.mean()), math.hypot(widened, floor))
+
+
+def midway(a: Uncertain, b: Uncertain) -> Uncertain:
+    """The mean of two independent estimates."""
+    return Uncertain(0.5 * (a.value + b.value), 0.5 * math.hypot(a.std, b.std))
+
+
+_MOVES = 0.3  # of the greatest speed of a stroke, above which it surely slides
+_FLOOR_BAR = 0.15  # what the seals' own dynamics leave, as repeating shows on the emulator
+
+
+class FrictionFindings(NamedTuple):
+    """In bar at chamber a. ``load``: what the arm's weight puts on the actuator, in the middle of the travel;
+    ``friction`` at ``speed`` (rad/s), the mean of the triangles."""
+
+    load: Uncertain
+    friction: Uncertain
+    speed: float
+
+
+def friction_findings(strokes: Sequence[StrokeRecord]) -> FrictionFindings:
+    """Friction and load from the full triangles. Raises MeasurementFailed for fewer than two pairs."""
+    triangles = [stroke for stroke in strokes if stroke.kind is StrokeKind.RAMP][2:]
+    pairs = [(a, b) for a, b in pairwise(triangles) if a.sense != b.sense]
+    if len(pairs) < 2:
+        raise MeasurementFailed(
+            "measurement.too_few_strokes", f"{len(pairs)} triangles out and back: two are wanted"
+        )
+    fits = np.array([_fit(a, b) for a, b in pairs])
+    return FrictionFindings(
+        load=repeated(fits[:, 0].tolist(), _FLOOR_BAR),
+        friction=repeated(fits[:, 1].tolist(), _FLOOR_BAR),
+        speed=float(fits[:, 2].mean()),
+    )
+
+
+def _fit(out: StrokeRecord, back: StrokeRecord) -> Array:
+    """Load, friction and mean speed of one triangle out and one back."""
+    middle = float(np.mean(np.concatenate([out.q, back.q])))
+    speeds = [smoothed_speed(stroke) for stroke in (out, back)]
+    mean = float(np.mean(np.concatenate([v[v > _MOVES * v.max()] for v in speeds])))
+    blocks, targets = [], []
+    for stroke, speed in zip((out, back), speeds, strict=True):
+        rows = np.flatnonzero(speed > _MOVES * speed.max())
+        sense, v = stroke.sense, stroke.sense * speed
+        acceleration = np.gradient(v, stroke.t)
+        columns = (
+            np.ones_like(v), sense * np.ones_like(v), sense * (speed - mean), acceleration, stroke.q - middle
+        )  # fmt: skip
+        blocks.append(np.column_stack(columns)[rows])
+        targets.append(sense * stroke.load[rows])
+    matrix, wanted = np.vstack(blocks), np.concatenate(targets)
+    units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
+    solved, *_ = np.linalg.lstsq(matrix / units, wanted, rcond=None)
+    return np.array([*(solved / units)[:2], mean])

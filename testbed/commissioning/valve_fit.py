@@ -24,11 +24,9 @@ from scipy.optimize import minimize_scalar
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.loop_fit import Floor, loop_of
-from testbed.commissioning.ramp_fit import fit_flowing, fit_step
-from testbed.commissioning.ramp_rows import FED_BAR, SLOW, smoothed_speed
+from testbed.commissioning.ramp_fit import Floor, fit_flowing, fit_step, loop_of
+from testbed.commissioning.ramp_rows import FED_BAR, SLOW, Uncertain, repeated, smoothed_speed
 from testbed.commissioning.recording import StrokeRecord, air_compressed
-from testbed.commissioning.uncertain import Uncertain, repeated
 
 _LAMINAR_BAR = 8.0  # the most at which an edge's flow may turn from laminar to turbulent
 _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahead
@@ -71,7 +69,7 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
     if ahead > _MOSTLY:
         return _by_outlet(mine)
     try:
-        return _found(mine)
+        return _edge_findings(mine)
     except MeasurementFailed:
         if ahead < _PARTLY:
             raise
@@ -95,11 +93,11 @@ def _by_outlet(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     """The findings by the outlet edge; gain and flow over the inlet's nominal speed, as the others'."""
 
     def left(laminar_bar: float) -> float:
-        return _found([_emptying(stroke, laminar_bar) for stroke in strokes]).residual
+        return _edge_findings([_emptying(stroke, laminar_bar) for stroke in strokes]).residual
 
     best = minimize_scalar(left, bounds=(0.0, _LAMINAR_BAR), method="bounded", options={"xatol": 0.2})
     emptied = [_emptying(stroke, float(best.x)) for stroke in strokes]
-    told = _found(emptied)
+    told = _edge_findings(emptied)
     shares = [np.median(stroke.e / was.e) for stroke, was in zip(emptied, strokes, strict=True)]
     share = float(np.mean(shares))
     return told._replace(
@@ -119,7 +117,7 @@ def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
     )
 
 
-def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
+def _edge_findings(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     triangles = _full_triangles(strokes)
     stepped = [stroke for stroke in strokes if stroke.kind is StrokeKind.STEP]
     steps = [fit_step(stroke) for stroke in stepped]

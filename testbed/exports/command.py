@@ -31,7 +31,7 @@ def urdf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as URDF, for ROS, Pinocchio and viewers: links, joints, masses; no springs, no gravity."""
-    from testbed.exports.formats import urdf
+    from testbed.exports.arm_tree import urdf
 
     _write(urdf, _tree(config_dir, settings, true), file, json_file)
 
@@ -45,7 +45,7 @@ def mjcf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as MJCF, for MuJoCo; with --true also the springs and dampers of its hinges, and gravity."""
-    from testbed.exports.formats import mjcf
+    from testbed.exports.arm_tree import mjcf
 
     _write(mjcf, _tree(config_dir, settings, true, springs=True), file, json_file)
 
@@ -58,7 +58,7 @@ def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: 
     """
     from foundation.configuration import parse_overrides
     from testbed.exports.arm_tree import inexpressible, nominal_tree, true_tree
-    from testbed.scenarios.settings import load_settings
+    from testbed.scenarios.scenario import load_settings
 
     chosen = load_settings(config_dir, parse_overrides(assignments or []))
     if not true:

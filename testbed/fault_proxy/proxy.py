@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple, cast
 import typer
 
 from foundation.command_options import unfolded
-from foundation.ports import known_host
+from foundation.secret_source import known_host
 from protocol.errors import ConfigurationError
 from testbed.fault_proxy.faults import Delivery, FaultLine, Faults
 
@@ -150,7 +150,7 @@ class TcpProxy(FaultProxy):
         self._pumps: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
         self._server = await asyncio.start_server(
-            self._accepted, self.route.listen_host, self.route.listen_port
+            self._accept, self.route.listen_host, self.route.listen_port
         )
         self.port = self._server.sockets[0].getsockname()[1]
 
@@ -168,7 +168,7 @@ class TcpProxy(FaultProxy):
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             writer.transport.abort()
 
-    async def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
         self._pumps.add(task)

@@ -1,26 +1,102 @@
-"""`longreach hand-eye samples`: pictures of a board and the robot's poses become what `solve` reads."""
+"""Pairs of hand and eye from pictures of a board: its views, and the poses beside them."""
 
 import json
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from rich.table import Table
 
 from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.camera.checking import question
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import RobotPoses, file_text, numbers
-from testbed.pictures.board_question import question
-from testbed.reporting.console import out
+from testbed.reporting.console import Columns, listed, out
 from vision_pc.config.camera_files.reading import read_calibration
 from vision_pc.config.choices import Detector, LensModel, Setup
 from vision_pc.core.hand_eye.solvers.lens import checked
 from vision_pc.core.perception import zhang_intrinsics as zhang
-from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard
+from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard, Intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 from vision_pc.shell.cameras.directory import read_grey
+
+
+class IntrinsicsRow(NamedTuple):
+    """One detector on one set of pictures; ``std_fx_px`` is the fit's word.
+
+    ``outlying`` names views whose error stands out, ``empty_cells_percent`` the part of the picture without
+    corners.
+    """
+
+    pictures: str
+    detector: str
+    views: int
+    missed: tuple[str, ...]
+    rms_px: float
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    std_fx_px: float
+    outlying: tuple[str, ...]
+    empty_cells_percent: float
+
+
+def detect(
+    pictures: Sequence[tuple[str, Image]],
+    board: Checkerboard | Charuco,
+    detector: Detector = Detector.SECTORS,
+) -> tuple[list[BoardView], tuple[str, ...]]:
+    """The views in which the board was found, and the names of the others."""
+    views, missed = [], []
+    for name, image in pictures:
+        try:
+            if isinstance(board, Charuco):
+                views.append(zhang.find_charuco(image, board, name))
+            else:
+                views.append(zhang.find_checkerboard(image, board, detector, name))
+        except MeasurementFailed:
+            missed.append(name)
+    return views, tuple(missed)
+
+
+def intrinsics_row(pictures: str, detector: str, found: Intrinsics, missed: tuple[str, ...]) -> IntrinsicsRow:
+    """One line of the table."""
+    K = found.K
+    return IntrinsicsRow(
+        pictures,
+        detector,
+        len(found.names),
+        missed,
+        found.rms_px,
+        float(K[0, 0]),
+        float(K[1, 1]),
+        float(K[0, 2]),
+        float(K[1, 2]),
+        float(found.std_px[0]),
+        found.outlying,
+        100.0 * float((found.coverage == 0).mean()),
+    )
+
+
+def intrinsics_table(rows: Iterable[IntrinsicsRow]) -> Table:
+    """The figures of each."""
+    columns: Columns = {
+        "pictures": "{pictures}",
+        "corners by": "{detector}",
+        "views": "{views}",
+        "rms px": "{rms_px:.3f}",
+        "fx": "{fx_px:.2f}",
+        "± px": "{std_fx_px:.2f}",
+        "outlying": lambda r: " ".join(r.outlying) or "–",
+        "empty": "{empty_cells_percent:.0f} %",
+    }
+    return listed("intrinsics by Zhang's method", columns, rows)
+
 
 _PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 _LEAST = 3
@@ -151,7 +227,7 @@ def _sample(
             f"{camera.size[0]}x{camera.size[1]}",
         )
     try:
-        view = _found(image, board, path.name)
+        view = _find_board(image, board, path.name)
     except MeasurementFailed:
         return None
     seen = {
@@ -173,7 +249,7 @@ def _points(board: Checkerboard | Charuco) -> Array:
     return board.square_m * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(np.float64)
 
 
-def _found(image: Image, board: Checkerboard | Charuco, name: str) -> BoardView:
+def _find_board(image: Image, board: Checkerboard | Charuco, name: str) -> BoardView:
     if isinstance(board, Charuco):
         return zhang.find_charuco(image, board, name)
     view = zhang.find_checkerboard(image, board, Detector.SECTORS, name)

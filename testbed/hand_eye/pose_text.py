@@ -111,7 +111,7 @@ def read_robot_poses(
             continue  # a header
         values = numbers(words, _COUNTS.get(form, 7), f"{path.name} line {number} ({form})")
         X = np.eye(4)
-        p, R = _read(values, form, order, f"{path.name} line {number}", normalise)
+        p, R = _parse_pose(values, form, order, f"{path.name} line {number}", normalise)
         X[:3, :3], X[:3, 3] = R, scale * p
         poses.append(X)
         names.append(name)
@@ -125,7 +125,7 @@ def read_robot_poses(
     return RobotPoses(np.stack(poses), told if names[0] is not None else None)
 
 
-def _read(v: Array, form: PoseForm, order: str, where: str, normalise: bool) -> tuple[Array, Array]:
+def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: bool) -> tuple[Array, Array]:
     """Position in the file's unit, and rotation."""
     if form in (PoseForm.MATRIX, PoseForm.FRANKA):
         X = v.reshape(4, 4, order="F" if form is PoseForm.FRANKA else "C")

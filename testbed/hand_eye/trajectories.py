@@ -100,7 +100,7 @@ def pair(
         )
     X_BT = interpolated(hand, times[usable])
     X_CP = stacks.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
-    chosen = _chosen(times[usable], X_BT, X_CP, pairing)
+    chosen = _choose_moments(times[usable], X_BT, X_CP, pairing)
     names = tuple(f"t={camera.time_s[usable][k]:.3f}" for k in chosen)
     return pose_pairs(X_BT[chosen], X_CP[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
 
@@ -126,7 +126,7 @@ def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Arr
     return stacks.angle(step[:, :3, :3]) / duration, np.linalg.norm(step[:, :3, 3], axis=-1) / duration
 
 
-def _chosen(times: Array, X_BT: Array, X_CP: Array, pairing: PairingOptions) -> NDArray[np.intp]:
+def _choose_moments(times: Array, X_BT: Array, X_CP: Array, pairing: PairingOptions) -> NDArray[np.intp]:
     """Indices of the moments to use, in order of time."""
     if 1.0 / float(np.median(np.diff(times))) < _RECORDING_HZ:
         return np.arange(len(times))

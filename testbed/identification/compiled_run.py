@@ -65,20 +65,20 @@ def spool_words(words: Array, half_loop: Array, sent: Array) -> None:
 
 
 @allocation_free
-def _restart(state: Array, shaft: Array, k: int, told: Restarts) -> None:
+def _restart(state: Array, shaft: Array, k: int, restarts: Restarts) -> None:
     """Put what the sensors tell at sample ``k`` into the plant; play and bristles stay as they are."""
     for i in range(N_ACTUATORS):
-        shift = told.angles[k, i] - told.offsets[i] - shaft[i]
+        shift = restarts.angles[k, i] - restarts.offsets[i] - shaft[i]
         shaft[i] += shift
         state[Q + _JOINT[i]] += shift
-        state[RATE + _JOINT[i]] = told.rates[k, i]
-        state[PRESSURE_A + i] = told.pressures[k, i, 0]
-        state[PRESSURE_B + i] = told.pressures[k, i, 1]
-    state[SUPPLY] = told.supply[k]
+        state[RATE + _JOINT[i]] = restarts.rates[k, i]
+        state[PRESSURE_A + i] = restarts.pressures[k, i, 0]
+        state[PRESSURE_B + i] = restarts.pressures[k, i, 1]
+    state[SUPPLY] = restarts.supply[k]
 
 
 @allocation_free
-def _read(state: Array, shaft: Array, offsets: Array, signals: Array, k: int) -> None:
+def _read_signals(state: Array, shaft: Array, offsets: Array, signals: Array, k: int) -> None:
     for i in range(N_ACTUATORS):
         signals[k, i] = shaft[i] + offsets[i]
         signals[k, N_ACTUATORS + 2 * i] = state[PRESSURE_A + i]
@@ -104,7 +104,7 @@ def run(
     state: Array,
     shafts: EncoderShafts,
     words: Words,
-    told: Restarts,
+    restarts: Restarts,
     h: float,
     model: Model,
     work: Work,
@@ -113,9 +113,9 @@ def run(
     """Fill ``signals`` (n, N_SIGNALS) from ``state`` on, in steps of ``h`` (s) along ``words``."""
     n = words.at.shape[0]
     for k in range(n):
-        if told.every > 0 and k > 0 and k % told.every == 0:
-            _restart(state, shafts.angle, k, told)
-        _read(state, shafts.angle, told.offsets, signals, k)
+        if restarts.every > 0 and k > 0 and k % restarts.every == 0:
+            _restart(state, shafts.angle, k, restarts)
+        _read_signals(state, shafts.angle, restarts.offsets, signals, k)
         if k + 1 < n:
             for step in range(words.at[k], words.at[k + 1]):
                 _target(words, step)

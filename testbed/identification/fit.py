@@ -21,9 +21,17 @@ from testbed.identification.operating import (
     pressure_fit,
 )
 from testbed.identification.parameters import Parameter, base_of, parameters_of, start_parameters
-from testbed.identification.problem import FitProblem, misfit, signals_of
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import DAMPINGS, Fit, Plan, refined, shoot
+from testbed.identification.shooting import (
+    DAMPINGS,
+    Fit,
+    FitProblem,
+    Plan,
+    misfit,
+    refined,
+    shoot,
+    signals_of,
+)
 from testbed.identification.static_fit import DeadZone, ForceBalance, balance, dead_zone
 
 WINDOW_S = 0.5
@@ -44,17 +52,12 @@ class Simple(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """A fitted plant: the problem, what the simple stages found, the fit as one run; ``runs`` in all."""
+    """A fitted plant: the problem, what the simple stages found, the fit as one run."""
 
     problem: FitProblem
     joints: list[int]
     simple: Simple
     whole: Fit
-
-    @property
-    def runs(self) -> int:
-        """How often the plant was run."""
-        return self.whole.runs
 
 
 def problem_of(config: PlantConfig, recording: MotionRecording, joints: Sequence[int]) -> FitProblem:

@@ -59,14 +59,14 @@ def file_model(base: dict[str, Any]) -> Model:
 
 def operating(base: dict[str, Any], model: Model, recording: MotionRecording, joint: int) -> Operating:
     """The series of ``joint`` by the plant of ``base``, whose tables are ``model``."""
-    told, row = smoothed(recording), model.actuators[joint]
+    smooth, row = smoothed(recording), model.actuators[joint]
     offset = 1e-3 * float(base["errors"]["encoder_offsets"]["mrad"][joint])
     linkage = row[col.A_KIND : col.A_LENGTH0 + 1]
-    reach = np.array([actuator_reach(float(angle) - offset, *linkage) for angle in told.angles[:, joint]])
+    reach = np.array([actuator_reach(float(angle) - offset, *linkage) for angle in smooth.angles[:, joint]])
     position, lever = reach[:, 0], reach[:, 1]
-    speed = lever * told.rates[:, joint]
+    speed = lever * smooth.rates[:, joint]
     spool, drive, sent = _spool(base["valves"]["joints"][JOINTS[joint]], recording, joint)
-    pressures = told.pressures[:, joint]
+    pressures = smooth.pressures[:, joint]
     areas = row[[col.A_AREA_A, col.A_AREA_B]]
     volumes = np.column_stack(
         [
@@ -75,7 +75,7 @@ def operating(base: dict[str, Any], model: Model, recording: MotionRecording, jo
         ]
     )
     back = float(model.circuit[col.C_RETURN])
-    from_pump = np.where((spool >= 0.0)[:, None] == np.array([True, False]), told.supply[:, None], back)
+    from_pump = np.where((spool >= 0.0)[:, None] == np.array([True, False]), smooth.supply[:, None], back)
     return Operating(
         joint,
         spool,
@@ -84,11 +84,11 @@ def operating(base: dict[str, Any], model: Model, recording: MotionRecording, jo
         speed,
         lever,
         pressures,
-        told.pressure_rates[:, joint],
+        smooth.pressure_rates[:, joint],
         volumes,
         from_pump - pressures,
         pressures[:, 0] * areas[0] - pressures[:, 1] * areas[1],
-        np.abs(speed) > _FAST * _speed_noise(told, recording, joint, lever),
+        np.abs(speed) > _FAST * _speed_noise(smooth, recording, joint, lever),
         np.abs(spool - sent) < _SETTLED,
     )
 
@@ -121,10 +121,10 @@ def _slew(command: Array, out: float, back: float, step_s: float) -> None:
         command[k] = now
 
 
-def _speed_noise(told: Smoothed, recording: MotionRecording, joint: int, lever: Array) -> float:
+def _speed_noise(smooth: Smoothed, recording: MotionRecording, joint: int, lever: Array) -> float:
     """The spread of the smoothed speed while the arm stands still at the beginning."""
     rest = recording.time_s < recording.time_s[0] + recording.about.rest_s
-    rates = told.rates[rest, joint]
+    rates = smooth.rates[rest, joint]
     return float(np.abs(lever).max() * max(np.std(rates), 1e-5))
 
 

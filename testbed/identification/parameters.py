@@ -66,7 +66,9 @@ def base_of(config: PlantConfig, period_s: float = 0.01) -> dict[str, Any]:
     for name in ("encoder_offsets", "base_tilt"):
         if not base["errors"][name]["enabled"]:
             entry = base["errors"][name]
-            base["errors"][name] = {key: _zeroed(value) for key, value in entry.items()} | {"enabled": True}
+            base["errors"][name] = {key: _with_zeros(value) for key, value in entry.items()} | {
+                "enabled": True
+            }
     return base
 
 
@@ -89,7 +91,7 @@ def every_valve(config: PlantConfig) -> dict[str, Any]:
     return {name: _whole_valve(config, joint) for joint, name in enumerate(JOINT_NAMES)}
 
 
-def _zeroed(value: Any) -> Any:
+def _with_zeros(value: Any) -> Any:
     return [0.0] * len(value) if isinstance(value, list) else 0.0
 
 
@@ -115,7 +117,7 @@ def _whole_valve(config: PlantConfig, joint: int) -> dict[str, Any]:
 
 def parameters_of(config: PlantConfig, joints: Sequence[int]) -> list[Parameter]:
     """The parameters of ``config`` that motions of ``joints`` can tell something of."""
-    found = [*_shared(), *_of_all_valves(joints)]
+    found = [*_shared_parameters(), *_of_all_valves(joints)]
     for joint in joints:
         found += [*_of_valve(joint), *_of_joint(config, joint)]
     base = base_of(config)
@@ -127,7 +129,7 @@ def parameters_of(config: PlantConfig, joints: Sequence[int]) -> list[Parameter]
     ]
 
 
-def _shared() -> list[Parameter]:
+def _shared_parameters() -> list[Parameter]:
     def masses(link: str) -> tuple[Key, ...]:
         return tuple(("masses", part, "*", "mass_kg") for part in _LINKS[link])
 

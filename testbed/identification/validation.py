@@ -9,8 +9,8 @@ from protocol.errors import ConfigurationError
 from testbed.identification.fit import Identified
 from testbed.identification.free_run import measured, predicted
 from testbed.identification.parameters import Parameter, moved_start
-from testbed.identification.problem import FitProblem, plant_of
 from testbed.identification.recording import Array, MotionRecording
+from testbed.identification.shooting import FitProblem, plant_of
 
 LEAST_FIT = 0.9
 """Of a joint's angle on held-out motion: 1 − |error| / |motion|; below it, a plant is not believed."""
@@ -133,7 +133,7 @@ def check_noise(signals: list[SignalFit]) -> None:
 
 def _check_parameter(found: Identified, index: int, parameter: Parameter, theta: float) -> None:
     low, high = (float(limit[index]) for limit in found.problem.limits)
-    beyond = _pushed(found, index) if theta <= low or theta >= high else 0.0
+    beyond = _push_from_bound(found, index) if theta <= low or theta >= high else 0.0
     if abs(theta) > MOST_SPREADS * parameter.spread or beyond > MOST_PUSHED:
         where = (
             f"{abs(theta) / parameter.spread:.1f} spreads of its prior off the file, at most {MOST_SPREADS:g}"
@@ -148,7 +148,7 @@ def _check_parameter(found: Identified, index: int, parameter: Parameter, theta:
         )
 
 
-def _pushed(found: Identified, index: int) -> float:
+def _push_from_bound(found: Identified, index: int) -> float:
     """By how many of its σ the recording would move a parameter on from the bound that it stands at."""
     fit = found.whole
     downhill = fit.jacobian[:, index] @ fit.residuals.ravel()

@@ -1,32 +1,119 @@
 """The vision application in lockstep: the programs of the same table as behind the API, without the API."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from pydantic import ValidationError
 
+from controller.shell.scan_recorder import ScanRecorder
 from foundation.event_log import Level
-from nominal_arm.dimensions import boom_dimensions
-from protocol.errors import LinkLost, LongreachError, RequestRefused
+from foundation.recording.decoding import SESSION_VARIABLE, session_entries
+from foundation.recording.messages import DirectRecording
+from nominal_arm.dimensions import boom_dimensions, dimensions
+from plant_emulator.core.camera.scene import Scene
+from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode
-from testbed.lockstep.clock import run
-from testbed.lockstep.eyes import SightMaker, camera_eyes, eyes_with
-from testbed.lockstep.recordings import LockstepRecordings
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog, run
+from testbed.lockstep.simulated_measurements import SightMaker, camera_eyes, eyes_with
 from testbed.lockstep.world import World
 from testbed.reporting.console import Bar
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.camera_eyes import CameraEyes
+from vision_pc.application.eyes import FrameEyes
+from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.hand_eye.sensing import ended_in_fault
+from vision_pc.application.hand_eye.steps import SessionStore, StartCheck
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.results import JSON
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.sighting import Click
-from vision_pc.core.types import Look
+from vision_pc.core.types import FrameObservation, Look
 from vision_pc.shell.installed_programs import every_program, installed_programs
 from vision_pc.shell.recording.recorded_ports import record_programs
+from vision_pc.shell.recording.vision_recorder import EYES, FILE, SIMULATED, VisionRecorder
+
+TRUTH = Path("plant_emulator") / "truth.mcap"
+CONTROLLER = Path("controller")
+VISION = Path("vision_pc") / FILE
+T = TypeVar("T")
+
+
+class SimulatedJournal:
+    """Where the controller's recorder says that nothing more can be written: in the run's log."""
+
+    def __init__(self, log: RunLog) -> None:
+        self._log = log
+
+    def write(self, event: str, level: str = "info", /, **fields: object) -> None:
+        """Append one event."""
+        self._log.add(0, event, **fields)
+
+
+class LooksAlone:
+    """Implements ``SightRecorder`` for eyes without pictures: their looks alone are recorded."""
+
+    def __init__(self, recorder: VisionRecorder) -> None:
+        self._recorder = recorder
+
+    def tapped(self, sensor: T) -> T:
+        """The sensor itself."""
+        return sensor
+
+    def looked(self, look: Look, observations: Sequence[FrameObservation]) -> None:
+        """Record a look, made of nothing that is recorded."""
+        self._recorder.looked(look, ())
+
+
+class Closed(Protocol):
+    """What is closed at the end."""
+
+    def close(self) -> None: ...
+
+
+class LockstepRecordings:
+    """Records plant, controller and vision below ``directory``, as `longreach up` lays it out.
+
+    ``eyes``: whose measurements are recorded, of eyes without pictures their looks. ``vision`` is their
+    recorder.
+    """
+
+    def __init__(self, directory: Path, session: str, world: World, eyes: FrameEyes[Any]) -> None:
+        """Create the files. Raises FileExistsError where one exists, OSError, ConfigurationError."""
+        settings = world.settings
+        for name in (TRUTH.parent, CONTROLLER, VISION.parent):
+            (directory / name).mkdir(parents=True, exist_ok=True)
+        said = {SESSION_VARIABLE: session}
+        world.record_in(directory / TRUTH, session)
+        assert world.recording is not None
+        self._closing: list[Closed] = [world.recording]
+        if settings.controller.recording_hz > 0.0:
+            world.controller.recorder = ScanRecorder(
+                directory / CONTROLLER,
+                settings.arm,
+                settings.controller,
+                SimulatedJournal(world.log),
+                session=session_entries("controller", said),
+                made=DirectRecording,
+            )
+            self._closing.append(world.controller.recorder)
+        run = {name: getattr(settings, name).model_dump(mode="json") for name in ("arm", "vision")}
+        pictured = isinstance(eyes, CameraEyes)
+        entries = session_entries("vision_pc", said) | ({} if pictured else {EYES: SIMULATED})
+        self.vision = VisionRecorder(
+            directory / VISION, settings.vision, run, entries, lambda: world.vision_ns, DirectRecording
+        )
+        self._closing.append(self.vision)
+        self.vision.listen_to(world.link)
+        eyes.recorded_by(self.vision if pictured else LooksAlone(self.vision))
+
+    def close(self) -> None:
+        """Write the summaries and close the files."""
+        for each in self._closing:
+            each.close()
 
 
 class SimulatedTimeLog:
@@ -142,3 +229,80 @@ class LockstepRig:
     def now_ns(self) -> int:
         """The time on vision's clock."""
         return self.world.vision_ns
+
+
+_PATIENCE = 10  # samples that may fail in a session
+
+
+class GuidedRig:
+    """World, arm, camera and session. The arm is enabled and at rest in its starting pose."""
+
+    def __init__(self, settings: Settings, seed: int, sessions: Path) -> None:
+        self.world = World(settings, seed, RunLog())
+        self.settings = settings
+        self.link = self.world.link
+        self.eyes = camera_eyes(self.world)
+        self.arm = LinkArm(self.link, settings.vision.motion)
+        log = SimulatedTimeLog(self.world)
+        store = SessionStore(sessions)
+        self.guided = GuidedCalibration(
+            self.arm, self.eyes, self.link, settings.vision, dimensions(settings.arm), log, store
+        )
+        self.world.connect()
+        self.run(self.link.command(CommandCode.ENABLE))
+        self.run(self.link.next_state())
+
+    @property
+    def X_TC(self) -> Array:
+        """The camera in the hand as it truly is."""
+        return Scene(self.settings.scene).mounts.X_TC
+
+    def run(self, program: Awaitable[T]) -> T:
+        """The result of a program in simulated time."""
+        return run(program)  # type: ignore[arg-type]
+
+
+def quiet(_progress: float, _note: str) -> None:
+    """A report that nobody reads."""
+
+
+def start(rig: GuidedRig, name: str, seed: int) -> StartCheck:
+    """Begins a session and takes its first sample where the arm stands."""
+    check = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
+    rig.run(rig.guided.sample(quiet))
+    return check
+
+
+def take_all(rig: GuidedRig, informative: bool) -> int:
+    """Samples until the session is complete, each at the pose proposed; how many faults interrupted it."""
+    spoiled = faults = 0
+    while not rig.guided.session.complete:
+        try:
+            rig.run(rig.guided.next_pose(quiet, informative))
+            rig.run(rig.guided.sample(quiet))
+        except (MeasurementFailed, MotionUnsettled):  # a hidden marker, an arm that swings: the next pose
+            spoiled += 1
+            if spoiled > _PATIENCE:
+                raise
+        except RequestRefused as error:
+            faults += 1
+            if not ended_in_fault(error) or faults > _PATIENCE:
+                raise
+            recover(rig)
+    return faults
+
+
+def recover(rig: GuidedRig) -> None:
+    """What an operator does after a fault: RESET, again while the arm still ramps down, then ENABLE."""
+    while True:
+        try:
+            rig.run(rig.link.command(CommandCode.RESET))
+        except RequestRefused as error:
+            if error.cause != "refused.stopping":
+                raise
+            rig.run(rig.link.next_state())
+        else:
+            break
+    rig.run(rig.link.next_state())
+    rig.run(rig.link.command(CommandCode.ENABLE))
+    rig.run(rig.link.next_state())

@@ -6,28 +6,168 @@ eyes-measure`` writes ``configs/eye_model.yaml``). Everything else is exact or v
 rectification, prints and what hides what on one side; poses, covariances, offset and looks on the other.
 """
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from foundation.configuration import StrictModel, load
+from plant_emulator.core.camera.exposures import Capture
 from plant_emulator.core.camera.scene import Scene
-from testbed.lockstep.frames import Sight, SimulatedFrame, SimulatedFrames
+from protocol.errors import ConfigurationError
+from testbed.lockstep.camera_side import Exposure
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
-from testbed.lockstep.world import World
-from testbed.scenarios.settings import Settings
+from testbed.lockstep.world import VISION_CLOCK_NS, World
+from testbed.scenarios.scenario import Settings
+from vision_pc.application.camera_eyes import CameraEyes
+from vision_pc.application.camera_feed import CameraFeed
+from vision_pc.application.eyes import FrameEyes
+from vision_pc.application.ports import CameraStatus, FrameSource, Runtime
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception import intrinsics, markers
 from vision_pc.core.perception.camera_errors import fitted_errors
+from vision_pc.core.perception.frozen_pictures import FrozenPictures
 from vision_pc.core.perception.intrinsics import as_believed, as_found
 from vision_pc.core.perception.look import FrameMarkers, FrameStamp, observation_of, priors_after
+from vision_pc.core.perception.rectification import Rectifier
+from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraErrors, CameraModel, FrameObservation, OdometryPose, WatchSample
+from vision_pc.core.types import (
+    CameraErrors,
+    CameraFrame,
+    CameraModel,
+    FrameObservation,
+    Look,
+    OdometryPose,
+    StereoPair,
+    WatchHealth,
+    WatchSample,
+)
+
+F = TypeVar("F", bound=CameraFrame)
+
+
+class Sight(NamedTuple):
+    """What eyes look with: a source of frames, and a sensor that measures in them."""
+
+    frames: FrameSource[Any]
+    sensor: Sensor[Any]
+
+
+class LockstepFrames(CameraFeed[F], ABC):
+    """Vision's feed, filled from the world's exposures; in lockstep a frame arrives when it is sent."""
+
+    rectifies: ClassVar[bool] = False
+
+    def __init__(self, world: World) -> None:
+        """Raise ConfigurationError where frames that nobody rectifies meet a raw camera's calibration."""
+        camera = world.settings.vision.camera
+        if isinstance(camera.calibration, StereoCalibration) and not self.rectifies:
+            raise ConfigurationError(
+                "configuration.raw_camera",
+                f"vision.camera.calibration: {camera.calibration.source}: these eyes take no raw pairs, "
+                "rendered pictures do (--eyes pixels)",
+            )
+        super().__init__(camera, world.clock)
+        self._world = world
+        self.connected()
+
+    async def frame_after(self, capture_ns: int) -> F:
+        """The port's, while which every exposure is taken."""
+        viewers = self._world.camera.viewers
+        viewers.append(self.exposed)
+        try:
+            return await super().frame_after(capture_ns)
+        finally:
+            viewers.remove(self.exposed)
+
+    def status(self) -> CameraStatus:
+        """The camera is always there, although it is only asked for frames while somebody looks."""
+        return CameraStatus(True, 0.0, self._frames, self._world.settings.scene.camera.rate_hz)
+
+    @abstractmethod
+    def exposed(self, exposure: Exposure) -> None:
+        """Publish the frame of ``exposure``, if it is delivered."""
+
+
+class PixelFrames(LockstepFrames[StereoPair]):
+    """Rendered stereo pairs, rectified where vision's calibration is a raw camera's."""
+
+    rectifies = True
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world)
+        settings = world.settings.vision.camera
+        told = settings.calibration
+        self._rectified = Rectifier(told) if isinstance(told, StereoCalibration) else None
+        self._pictures = FrozenPictures(settings.frozen_frames)
+
+    def exposed(self, exposure: Exposure) -> None:
+        """Render and publish the pair of ``exposure``."""
+        if exposure.shot.delivered:
+            header, left, right = self._world.camera.photograph(exposure)
+            pair = StereoPair(left, right, header.capture_ns + VISION_CLOCK_NS, header.frame_id)
+            frozen = self._pictures.add(left)
+            self.publish(self._rectified(pair) if self._rectified else pair, frozen=frozen)
+
+
+class SimulatedFrame(NamedTuple):
+    """A ``CameraFrame`` without pixels, for a sensor that simulates: ``shown`` is what it would show."""
+
+    shown: Capture
+    capture_ns: int
+    frame_id: int
+
+
+class SimulatedFrames(LockstepFrames[SimulatedFrame]):
+    """Frames that carry what they would show in place of pictures."""
+
+    def exposed(self, exposure: Exposure) -> None:
+        """Publish what ``exposure`` shows, under its stamps."""
+        shot = exposure.shot
+        if shot.delivered:
+            self.publish(SimulatedFrame(shot.shown, shot.capture_ns + VISION_CLOCK_NS, shot.frame_id))
+
+
+SightMaker = Callable[[World], Sight]
+
+
+class RunRecord:
+    """Implements ``vision_pc.application.ports.EyesRecord``: looks and watches in the run's log."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def pictured(self, frame: CameraFrame, observation: FrameObservation) -> None:
+        """Do nothing: pictures are kept by those who ask for them."""
+
+    def looked(self, look: Look) -> None:
+        """Write what was seen."""
+        self._world.log.add(self._world.time_ns, "look", X_CM=look.X_CM, X_CO=look.X_CO, frames=look.frames)
+
+    def watched(self, health: WatchHealth) -> None:
+        """Write what the watch missed."""
+        self._world.log.add(self._world.time_ns, "watch", health=health)
+
+
+def camera_eyes(world: World) -> CameraEyes:
+    """Eyes on rendered pictures."""
+    runtime = Runtime(world.clock, world.clock, world.clock)
+    return CameraEyes(PixelFrames(world), world.link, world.settings.vision, runtime, RunRecord(world))
+
+
+def eyes_with(world: World, sight: Sight) -> FrameEyes[Any]:
+    """Eyes that look with ``sight``."""
+    runtime = Runtime(world.clock, world.clock, world.clock)
+    look = world.settings.vision.look
+    return FrameEyes(sight.frames, sight.sensor, world.link, look, runtime, RunRecord(world))
+
 
 _STREAM = 0x65796573  # the model's own random numbers
 

@@ -110,7 +110,7 @@ class ModelOdometry:
             if points < self._settings.minimum_inliers:
                 self._keyframes.clear()
                 return None
-            return self._found(np.zeros((6, 6)), time_ns, number, points)
+            return self._pose(np.zeros((6, 6)), time_ns, number, points)
         view = self._in_view(shown)
         best = max((view.of_keyframe(ids) for ids in self._keyframes), key=lambda seen: len(seen.ids))
         if len(best.ids) < self._settings.minimum_inliers:
@@ -118,7 +118,7 @@ class ModelOdometry:
         covariance = self._solve(best)
         if len(best.ids) < self._settings.keyframe_overlap * best.of:
             self._new_keyframe(shown, best.ids)
-        return self._found(covariance, time_ns, number, len(best.ids))
+        return self._pose(covariance, time_ns, number, len(best.ids))
 
     def _mask(self, X_CM: Array | None) -> None:
         moved = X_CM is not None and (
@@ -176,6 +176,6 @@ class ModelOdometry:
         self._keyframes.append(np.concatenate([held, np.arange(first, len(self._map))]))
         return len(self._keyframes[-1])
 
-    def _found(self, covariance: Array, time_ns: int, number: int, points: int) -> OdometryPose:
+    def _pose(self, covariance: Array, time_ns: int, number: int, points: int) -> OdometryPose:
         noise_px = self._noise.noise_px
         return OdometryPose(time_ns, number, self._X_C0C, covariance, points, 1.0, noise_px, self._pairs)

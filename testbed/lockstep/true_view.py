@@ -82,10 +82,10 @@ class TrueView:
         self._standing = _screens(scene.mounts.X_WO, scene.standing)
         corners = scene.marker_corners()
         self._hung = [number for number, (parent, _) in corners.items() if parent == "O"]
-        self._hung_W = apply(scene.mounts.X_WO, _stacked([corners[number][1] for number in self._hung]))
+        self._hung_W = apply(scene.mounts.X_WO, _stack_corners([corners[number][1] for number in self._hung]))
         self._carried = [number for number, (parent, _) in corners.items() if parent == "M"]
         outlines = [_outline(plate) for plate in scene.tool_plates]
-        self._carried_M = _stacked([*(corners[number][1] for number in self._carried), *outlines])
+        self._carried_M = _stack_corners([*(corners[number][1] for number in self._carried), *outlines])
         self._latest: _Glance | None = None
 
     def markers(self, shown: Capture) -> dict[int, SeenMarker]:
@@ -178,11 +178,11 @@ def _hide(screens: _Screens, eye_W: Array, points_W: Array, behind: Flags) -> No
     """Set in ``behind`` (n,) which of the points (n, 3) lie behind a screen, seen from ``eye_W`` (3,)."""
     for k in range(screens.X_PW.shape[0]):
         X, low, high = screens.X_PW[k], screens.low[k], screens.high[k]
-        eye_x, eye_y, height = _placed(X, eye_W)
+        eye_x, eye_y, height = _transform_point(X, eye_W)
         if height <= 0.0:
             continue
         for i in range(points_W.shape[0]):
-            x, y, depth = _placed(X, points_W[i])
+            x, y, depth = _transform_point(X, points_W[i])
             if depth < -_ON_IT_M:
                 share = height / (height - depth)
                 across, up = eye_x + (x - eye_x) * share, eye_y + (y - eye_y) * share
@@ -190,7 +190,7 @@ def _hide(screens: _Screens, eye_W: Array, points_W: Array, behind: Flags) -> No
 
 
 @kernel(nogil=True)
-def _placed(X: Array, p: Array) -> tuple[float, float, float]:
+def _transform_point(X: Array, p: Array) -> tuple[float, float, float]:
     """The point ``p`` (3,) in the axes of X (4, 4)."""
     return (
         X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3],
@@ -209,7 +209,7 @@ def _screens(X_WO: Array, plates: Sequence[Plate]) -> _Screens:
     )
 
 
-def _stacked(corners: Sequence[Array]) -> Array:
+def _stack_corners(corners: Sequence[Array]) -> Array:
     return np.reshape(corners, (-1, 3))
 
 

@@ -18,10 +18,10 @@ from foundation.command_options import usual_configs
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core import se3
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics, look

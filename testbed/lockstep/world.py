@@ -9,6 +9,13 @@ image of a scan reaches the plant with the next exchange.
 from collections.abc import Callable
 from pathlib import Path
 
+from controller.core.excitation.plan import ExcitationPlan
+from controller.core.excitation.program import ExcitationProgram, ExcitationSample
+from controller.core.inbox import Inbox
+from controller.core.scan_program import ScanProgram
+from controller.core.scan_types import RuntimeStatistics, ScanInput, ScanOutput, to_state
+from controller.shell.scan_recorder import ScanRecorder
+from foundation.configuration import configuration_hash
 from foundation.secret_source import read_key
 from nominal_arm.dimensions import joint_ranges
 from plant_emulator.core.camera.scene import Scene
@@ -16,16 +23,154 @@ from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.client_session import ReferenceClient
-from protocol.process_image import decode_valves, encode_sensors
+from protocol.faults import FaultCode, GroupState
+from protocol.process_image import ValveImage, decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import State
-from testbed.lockstep.camera_side import CameraSide
-from testbed.lockstep.clock import LockstepClock
-from testbed.lockstep.controller_side import ControllerSide
-from testbed.lockstep.link_record import LinkRecord
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.truth_recording import LockstepRecording
-from testbed.scenarios.settings import Settings
-from vision_pc.application.reference_link import ReferenceLink
+from protocol.server_session import ReferenceServer
+from protocol.session_events import (
+    AcknowledgementReceived,
+    ClientEvent,
+    DatagramDropped,
+    SessionLost,
+    StateReceived,
+    StreamRefusedReceived,
+)
+from testbed.lockstep.camera_side import CameraSide, LockstepRecording
+from testbed.lockstep.clock import LockstepClock, RunLog
+from testbed.scenarios.scenario import Settings
+from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
+
+
+class LinkRecord:
+    """Implements ``vision_pc.application.reference_link.Journal``; ``states`` are all that came."""
+
+    def __init__(self, log: RunLog, clock: LockstepClock) -> None:
+        self.states: list[State] = []
+        self._log = log
+        self._clock = clock
+
+    def __call__(self, event: Submitted | Streamed | ClientEvent) -> None:
+        """Write what a reader of the run's log wants to know of ``event``."""
+        if isinstance(event, StateReceived):
+            self._receive_state(event.state)
+        elif isinstance(event, Submitted):
+            self._add("request", id=event.command_id, kind=type(event.request).__name__)
+        elif isinstance(event, AcknowledgementReceived):
+            answer = event.acknowledgement
+            self._add("acknowledgement", id=answer.command_id, reason=answer.reason.name)
+        elif isinstance(event, StreamRefusedReceived):
+            self._add("stream_refused", reason=event.refusal.reason.name)
+        elif isinstance(event, SessionLost):
+            self._add("link_lost", reason=event.reason.name)
+        elif isinstance(event, DatagramDropped):
+            self._add("datagram_dropped", cause=event.cause)
+
+    def _receive_state(self, state: State) -> None:
+        if not self.states or _noteworthy(self.states[-1], state):
+            self._add(
+                "state",
+                group=GroupState(state.group_state).name,
+                fault=FaultCode(state.fault).name,
+                motion=state.motion_id,
+                segment=state.segment,
+                p_m=state.X_BT.p_m,
+            )
+        self.states.append(state)
+
+    def _add(self, event: str, **fields: object) -> None:
+        self._log.add(self._clock.time_ns, event, **fields)
+
+
+def _noteworthy(before: State, after: State) -> bool:
+    """Return True if something changed that a reader of the event log wants to know."""
+    return (before.group_state, before.fault, before.motion_id, before.motion_done, before.segment) != (
+        after.group_state,
+        after.fault,
+        after.motion_id,
+        after.motion_done,
+        after.segment,
+    )
+
+
+_VISION = "vision"
+
+
+class ControllerSide:
+    """The controller's programs: the server session and the scan, on the controller's clock.
+
+    ``recorder``, where there is one, is told every scan. In the excitation mode ``excitation`` is its state,
+    and ``samples`` all that it recorded.
+    """
+
+    def __init__(self, settings: Settings, seed: int) -> None:
+        config = settings.controller
+        self.cycle_ns = round(1e6 * config.cycle_ms)
+        self._program = ScanProgram(settings.arm, config)
+        self._inbox = Inbox()
+        self._server = ReferenceServer(
+            boot_id=seed + 1,
+            arm_hash=configuration_hash(settings.arm),
+            cycle_ns=self.cycle_ns,
+            link_timeout_ms=config.reference_link.link_timeout_ms,
+            capabilities=self._program.capabilities,
+            key=read_key(config.reference_link.link_key),
+        )
+        self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
+        self.recorder: ScanRecorder | None = None
+
+    def cycle(
+        self, sensor_words: list[int] | None, datagrams: list[bytes], arrival_ns: int, now_ns: int
+    ) -> tuple[ScanOutput, list[bytes]]:
+        """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange.
+
+        ``sensor_words`` is None when the plant did not answer.
+        """
+        events = self._server.receive_batch([(data, _VISION) for data in datagrams], arrival_ns)
+        events += self._server.tick(now_ns)
+        for answer in self._inbox.put(events):
+            self._server.acknowledge(answer, now_ns)
+        requests, alive = self._inbox.take(self._server.link_alive(now_ns))
+        inputs = ScanInput(
+            now_ns=now_ns,
+            sensed_ns=now_ns,
+            dt_s=1e-9 * self.cycle_ns,
+            sensors=None if sensor_words is None else decode_sensors(sensor_words),
+            requests=requests,
+            reference_link_alive=alive,
+            streamed=self._inbox.take_streamed(),
+        )
+        output = self._program.scan(inputs)
+        if self.recorder is not None:
+            self.recorder.scan(inputs, output)
+        for acknowledgement in output.acknowledgements:
+            self._server.acknowledge(acknowledgement, now_ns)
+        if output.refusal is not None:
+            self._server.refuse_streamed(output.refusal, now_ns)
+        if self._server.state_due(now_ns):
+            self._server.publish(self._state_message(output), now_ns)
+        self.valve_words = encode_valves(output.valves)
+        return output, [data for data, _ in self._server.outgoing(now_ns)]
+
+    @property
+    def plan(self) -> ExcitationPlan | None:
+        """What is tried out, None unless the excitation mode was chosen."""
+        return self._program.plan
+
+    @property
+    def excitation(self) -> ExcitationProgram:
+        """Where trying out stands."""
+        return self._program.excitation
+
+    @property
+    def samples(self) -> list[ExcitationSample]:
+        """All that was recorded of it."""
+        return self._program.samples
+
+    def _state_message(self, output: ScanOutput) -> State:
+        """The state to publish: here no cycle is ever late."""
+        link = self._server.statistics
+        return to_state(output.view, RuntimeStatistics(0, 0, 0, 0, link.lost, link.dropped))
+
 
 CONTROLLER_CLOCK_NS = 3_600_000_000_000  # the three clocks differ, as those of three machines do
 VISION_CLOCK_NS = 7_200_000_000_000
@@ -108,7 +253,7 @@ class World:
         """Pass one controller cycle; for the clock alone."""
         self.link.tick()
         datagrams = self.to_controller(self.link.outgoing(self.vision_ns - self.lead_ns))
-        sensor_words = self._exchanged()
+        sensor_words = self._exchange()
         scan_ns = self._time_ns + CONTROLLER_CLOCK_NS
         output, replies = self.controller.cycle(sensor_words, datagrams, scan_ns - self.lead_ns, scan_ns)
         for event in output.events:
@@ -117,7 +262,7 @@ class World:
             self.link.receive(data)
         self._pass_time(self._time_ns + self.controller.cycle_ns)
 
-    def _exchanged(self) -> list[int] | None:
+    def _exchange(self) -> list[int] | None:
         """The plant's sensor words, after it was given the controller's valves; None while it is silent."""
         if self.plant.faults.of_kind(CouplerSilent):
             return None

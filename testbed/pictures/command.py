@@ -27,7 +27,7 @@ def effects_command(
     ] = None,
 ) -> None:
     """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
-    from testbed.pictures.effect_sheet import draw_effects
+    from testbed.pictures.effects import draw_effects
 
     draw_effects(config_dir, directory, json_file)
 
@@ -39,7 +39,7 @@ def machine_command(
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
     from testbed.pictures.machine import draw_machine
-    from testbed.scenarios.settings import load_settings
+    from testbed.scenarios.scenario import load_settings
 
     draw_machine(load_settings(config_dir, {}), path)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
@@ -55,7 +55,7 @@ def run_command(
     """One run in simulated time: the arm from the side, what its camera sees, the true error over time."""
     from testbed.pictures.film import filmed, write_film
     from testbed.reporting.console import bars
-    from testbed.scenarios.settings import chosen_overrides, load_settings
+    from testbed.scenarios.scenario import chosen_overrides, load_settings
 
     settings = load_settings(config_dir, chosen_overrides(config_dir, scenario, seed, []))
     with bars() as shown:

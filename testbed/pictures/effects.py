@@ -1,6 +1,8 @@
 """Every effect of the emulated camera and its scene, off and on: what the switch is, and two pictures."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -15,8 +17,51 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
 from plant_emulator.core.mechanics.geometry import transform
+from plant_emulator.core.plant import Plant
+from testbed.reporting.console import bars, out, table, write_json
+from testbed.scenarios.scenario import load_settings
 
 Grey = NDArray[np.uint8]
+
+COLUMNS = 3
+_WIDTH, _HEIGHT = 204, 115  # of one picture
+_CAPTION, _GAP = 32, 10
+_LEVELS = 12  # of grey, which keeps the file small
+
+
+class Pair(NamedTuple):
+    """What one cell of the sheet shows."""
+
+    title: str
+    caption: str
+    off: Grey
+    on: Grey
+
+
+def contact_sheet(pairs: Sequence[Pair]) -> Grey:
+    """The sheet (height, width) uint8; in each cell the picture without the effect, then with it."""
+    wide, high = 2 * _WIDTH + 2 + _GAP, _HEIGHT + _CAPTION + _GAP
+    rows = math.ceil(len(pairs) / COLUMNS)
+    paper = np.full((rows * high + _GAP, COLUMNS * wide + _GAP), 255, dtype=np.uint8)
+    for number, pair in enumerate(pairs):
+        top, left = _GAP + number // COLUMNS * high, _GAP + number % COLUMNS * wide
+        for text, line, scale in ((pair.title, 11, 0.42), (pair.caption, 26, 0.36)):
+            place = (left, top + line)
+            cv2.putText(paper, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, 1, cv2.LINE_AA)
+        for index, picture in enumerate((pair.off, pair.on)):
+            start = left + index * (_WIDTH + 2)
+            paper[top + _CAPTION : top + _CAPTION + _HEIGHT, start : start + _WIDTH] = _small(picture)
+    return paper
+
+
+def _small(picture: Grey) -> Grey:
+    shrinks = picture.shape[1] > _WIDTH
+    small = cv2.resize(
+        picture, (_WIDTH, _HEIGHT), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_NEAREST
+    )
+    step = 255.0 / (_LEVELS - 1)
+    return np.asarray(np.rint(np.rint(small / step) * step), dtype=np.uint8)
+
 
 CLEAN: dict[str, Any] = {
     "wall": {"lighting_gradient_per_m": [0.0, 0.0], "undulation_mm": 0.0, "drill_holes": []},
@@ -217,3 +262,32 @@ def _moving(view: CameraView) -> Iterator[Capture]:
     for number in range(STRIP):
         yield Capture(number, number, view, STILL)
         view = CameraView(view.X_WC @ step, view.X_WM @ step)
+
+
+_HEADINGS = ("effect", "switch in scene.yaml, or fault", "mean change, grey", "pixels changed, %")
+
+
+def draw_effects(config_dir: Path, directory: Path, json_file: Path | None) -> None:
+    """Write the pictures into ``directory``, and what each effect changes to stdout and ``json_file``."""
+    settings = load_settings(config_dir, {})
+    truth = Plant(settings.plant, 1, Scene(settings.scene).mounts).truth()
+    view = CameraView(truth.X_WC, truth.X_WM)
+    directory.mkdir(parents=True, exist_ok=True)
+    wanted, pairs, rows = effects(settings.scene), [], []
+    with bars() as shown, shown.step("rendering") as bar:
+        for number, effect in enumerate(wanted, 1):
+            off, on = pictured(effect, settings.scene, view)
+            stem = effect.name.replace(",", "").replace(" ", "_")
+            for state, picture in (("off", off), ("on", on)):
+                cv2.imwrite(str(directory / f"{stem}_{state}.png"), picture)
+            change = np.abs(on.astype(float) - off)
+            rows.append((effect.name, effect.switch, change.mean(), 100.0 * (change > 0.0).mean()))
+            pairs.append(Pair(effect.name, effect.switch, off, on))
+            bar.update(number / len(wanted), effect.name)
+    path = directory / "camera_effects.png"
+    cv2.imwrite(str(path), contact_sheet(pairs), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    shown_rows = [(name, switch, f"{mean:.2f}", f"{share:.1f}") for name, switch, mean, share in rows]
+    out.print(table("effects of camera and scene, off against on", _HEADINGS, shown_rows))
+    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
+    keys = ("name", "switch", "mean_change_grey", "changed_percent")
+    write_json(json_file, {"effects": [dict(zip(keys, row, strict=True)) for row in rows]})

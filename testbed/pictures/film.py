@@ -18,12 +18,12 @@ from nominal_arm.dimensions import boom_dimensions
 from plant_emulator.core.truth import PlantTruth, tool_error
 from testbed.demonstration.sequence import Recorder, Rest, demonstrate
 from testbed.lockstep.camera_side import Exposure
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import VISION_CLOCK_NS
 from testbed.pictures.machine import draw_object, draw_steel
 from testbed.reporting.console import Bars
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.core.se3 import Array
 
 EVERY_NS = 800_000_000  # of the run; longer while nothing moves would hide how long a look takes

@@ -10,7 +10,7 @@ from matplotlib.patches import Rectangle
 
 from controller.core.kinematics.denavit_hartenberg import LINKS, chain, dh_table
 from nominal_arm.dimensions import boom_dimensions
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.core.calibration.orientation import R_TM_NOMINAL
 from vision_pc.core.se3 import Array, exp_so3, transform
 

@@ -17,8 +17,8 @@ import psutil
 
 from foundation.event_log import event_of, in_words
 from foundation.live.wire import SHARED_VARIABLE
-from foundation.recording.session import SESSION_VARIABLE
-from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener
+from foundation.recording.decoding import SESSION_VARIABLE
+from foundation.service_main import LONGEST_SILENCE, SOCKET, Listener
 from protocol.errors import LongreachError
 
 STOP_TIMEOUT_S = 4.0

@@ -1,21 +1,137 @@
-"""The vision PC's REST API as the demonstration drives it: commands, operations with progress, pictures."""
+"""A rig behind the REST API: its operations, and their results as the types of the programs."""
 
+import math
 import threading
 import time
 import uuid
+from collections.abc import Callable
 from typing import Any
 
 import httpx
 import numpy as np
 
 from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
-from testbed.realtime.parsed_results import RESULT_OF, look_of
+from protocol.pose import Pose
 from testbed.reporting.console import Bar
 from testbed.reporting.plots import TracedView
-from vision_pc.core.se3 import Array
-from vision_pc.core.types import Look
+from vision_pc.application.results import JSON, JudgedLook
+from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
+from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.positioning.expected_end import ExpectedEnd
+from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
+from vision_pc.core.se3 import Array, from_pose
+from vision_pc.core.types import Look, StereoOffset
 
-JSON = dict[str, Any]
+
+def look_of(answer: JSON) -> JudgedLook:
+    """A look with its verdict. The API tells standard deviations alone: each is taken for independent.
+
+    What one frame's noise was, and how sure the offset of the eyes is, it does not tell: NaN. Raises LinkLost
+    for a look that was made while no controller was connected: it does not say where the arm stood.
+    """
+    if answer["X_BT"] is None:
+        raise LinkLost("link.not_connected", "look: no controller was connected: arm unknown")
+    told_offset, unknown = answer["stereo_offset_px"], np.full((6, 6), math.nan)
+    offset = None
+    if told_offset is not None:
+        x_px, y_px = told_offset
+        offset = StereoOffset(x_px, y_px, math.nan, math.nan)
+    look = Look(
+        time_ns=int(answer["time_ns"]),
+        X_CM=_pose(answer["X_CM"]),
+        X_CO=_pose(answer["X_CO"]),
+        X_BT=_pose(answer["X_BT"]),
+        frames=answer["frames"],
+        failed_tool=answer["failed_tool"],
+        failed_object=answer["failed_object"],
+        cov_CM=_spread(answer["std_tool_mm"], answer["std_tool_deg"]),
+        cov_CO=_spread(answer["std_object_mm"], answer["std_object_deg"]),
+        frame_cov_CM=unknown,
+        frame_cov_CO=unknown,
+        offset=offset,
+    )
+    return JudgedLook(look, _verdict(answer))
+
+
+def _spread(std_mm: JSON, std_deg: JSON) -> Array:
+    return np.diag(np.concatenate((_metres(std_mm), np.radians(_xyz(std_deg)))) ** 2)
+
+
+def orientation_of(answer: JSON) -> OrientationResult:
+    """The errors of an orientation adjustment; the API does not report its references."""
+    shifts = tuple(1e-3 * shift for shift in answer["tool_shift_mm"])
+    return OrientationResult(tuple(np.radians(_xyz(e)) for e in answer["errors_deg"]), (), shifts)
+
+
+def calibration_of(answer: JSON) -> LocalCalibration:
+    """A local calibration. The API reports the largest standard deviation: taken about every axis here."""
+    return LocalCalibration(
+        R_BC=np.array(answer["R_BC"]),
+        R_TC=None if answer["R_TC"] is None else np.array(answer["R_TC"]),
+        covariance=math.radians(answer["rotation_std_deg"]) ** 2 * np.eye(3),
+        residuals=ResidualTable(_metres(answer["residual_mean_mm"]), _metres(answer["residual_max_mm"])),
+        condition=answer["condition"],
+        method=answer["method"],
+        samples=answer["samples"],
+        inlier_share=answer["inlier_share"],
+        extent_m=1e-3 * answer["extent_mm"],
+        scale=answer["scale"],
+    )
+
+
+def positioning_of(answer: JSON) -> PositioningResult:
+    """Looks and steps of a look-then-move."""
+    steps = tuple(
+        Step(_metres(s["p_lc_mm"]), _pose(s["X_BT_ref"]), _expected_end(s["expected"]))
+        for s in answer["steps"]
+    )
+    return PositioningResult(tuple(_verdict(look) for look in answer["looks"]), steps, Ended(answer["ended"]))
+
+
+RESULT_OF: dict[str, Callable[[JSON], Any]] = {
+    "look": look_of,
+    "orientation-adjustment": orientation_of,
+    "trajectory-matching": calibration_of,
+    "look-then-move": positioning_of,
+    "visit": lambda answer: positioning_of(answer["targets"][-1]),
+}
+"""By program; what is not here stays JSON."""
+
+
+def _expected_end(answer: JSON) -> ExpectedEnd:
+    """The API tells the correlation of x and y alone: z is taken for independent."""
+    std = _metres(answer["std_mm"])
+    covariance = np.diag(std**2)
+    covariance[0, 1] = covariance[1, 0] = answer["correlation_xy"] * std[0] * std[1]
+    freedom = math.inf if answer["freedom"] is None else float(answer["freedom"])
+    return ExpectedEnd(_metres(answer["mean_mm"]), covariance, freedom, float(answer["inside_probability"]))
+
+
+def _verdict(answer: JSON) -> LookVerdict:
+    return LookVerdict(
+        _metres(answer["error_mm"]),
+        _metres(answer["std_mm"]),
+        1e-3 * answer["tolerance_mm"],
+        answer["clearance_m"],
+        answer["verdict"] == "inside",
+        answer["certain"],
+    )
+
+
+def _pose(answer: JSON) -> Array:
+    x, y, z = answer["p_m"]
+    w, i, j, k = answer["q_wxyz"]
+    return from_pose(Pose((x, y, z), (w, i, j, k)))
+
+
+def _xyz(answer: JSON) -> Array:
+    return np.array([answer[axis] for axis in "xyz"])
+
+
+def _metres(answer: JSON) -> Array:
+    return 1e-3 * _xyz(answer)
+
+
 _POLL_S = 0.2
 _TIMEOUT_S = 10.0
 _KINDS: dict[str, type[LongreachError]] = {

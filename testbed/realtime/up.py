@@ -7,12 +7,11 @@ from datetime import datetime
 from pathlib import Path
 from types import FrameType
 
-from testbed.realtime.launch import Launch, prepare
-from testbed.realtime.supervisor import Supervisor, supervised
+from testbed.realtime.launch import Launch, Supervisor, prepare, supervised
 from testbed.reporting.console import Bars, out, table
 from testbed.reporting.run_directory import run_directory
 from testbed.reporting.run_record import note_settings
-from testbed.scenarios.settings import Overrides
+from testbed.scenarios.scenario import Overrides
 
 
 def run_up(

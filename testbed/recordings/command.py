@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from foundation.configuration import parse_overrides
-from foundation.recording.decoding import Damage
-from foundation.recording.session import session_entries
+from foundation.recording.decoding import Damage, session_entries
 from protocol.errors import ConfigurationError
 from testbed.recordings.comparison import ALIKE, ReplayComparison
 from testbed.recordings.decision_replay import DecisionReplay

@@ -1,13 +1,52 @@
 """What was recorded beside what comes out again: to the last bit, or within a limit, and where they part."""
 
+import csv
 import math
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
-from foundation.recording.decoding import Values, decoder
+from mcap.records import Message
+
+from foundation.recording.decoding import Values, decoder, walk
 from foundation.recording.messages import format_of
+from foundation.recording.recovery import contents
 from vision_pc.shell.recording import vision_messages as own
+
+TIMES = ("log_time_ns", "publish_time_ns")
+
+
+def write_tables(source: Path, directory: Path) -> tuple[dict[str, int], list[str]]:
+    """Write ``directory``/TOPIC.csv for every topic of ``source``; return rows by file, and topics left out
+    because their encoding is not known.
+
+    What a message does not have is an empty cell. Raises FileExistsError where a file is there.
+    """
+    found = contents(source)
+    directory.mkdir(parents=True, exist_ok=True)
+    rows, left_out = {}, []
+    for channel, topic in found.topics.items():
+        decode = decoder(topic.format)
+        if decode is None:
+            left_out.append(topic.name)
+            continue
+        columns: dict[str, None] = {}
+        with source.open("rb") as stream:
+            for record in walk(stream):
+                if isinstance(record, Message) and record.channel_id == channel:
+                    columns |= dict.fromkeys(decode(record.data))
+        path = directory / f"{topic.name.strip('/').replace('/', '_')}.csv"
+        with path.open("x", newline="", encoding="utf-8") as file, source.open("rb") as stream:
+            table = csv.DictWriter(file, [*TIMES, *columns])
+            table.writeheader()
+            for record in walk(stream):
+                if isinstance(record, Message) and record.channel_id == channel:
+                    times = dict(zip(TIMES, (record.log_time, record.publish_time), strict=True))
+                    table.writerow(times | decode(record.data))
+        rows[path.name] = found.counts.get(channel, 0)
+    return rows, left_out
+
 
 ALIKE = 1e-9  # of other versions or another processor: m, rad, px
 REFERENCE, OPERATION = "reference", "operation"
@@ -29,7 +68,7 @@ class Difference(NamedTuple):
         """One line that says it all."""
         happened = _HAPPENED.get(self.kind, "captured")
         where = f"{self.kind} {self.number} ({happened} at {self.time_ns * 1e-9:.3f} s): {self.field}"
-        return f"{where}: recorded {_shown(self.recorded)}, replayed {_shown(self.replayed)}"
+        return f"{where}: recorded {_as_text(self.recorded)}, replayed {_as_text(self.replayed)}"
 
 
 class ReplayComparison:
@@ -63,17 +102,17 @@ class ReplayComparison:
         if self.exact and digests[0] is not None and digests[0] == digests[1]:
             return self.same(kind)
         stamp = _stamp(recorded) if time_ns is None else time_ns
-        parted = self._parted(_flat(recorded), _flat(again))
+        parted = self._first_difference(_flat(recorded), _flat(again))
         if parted is None and self.exact and digests[0] != digests[1]:
             parted = "digest", digests[0], digests[1]
         return self.same(kind) if parted is None else self.different(kind, number, stamp, *parted)
 
     def values(self, kind: str, number: int, time_ns: int, recorded: Values, replayed: Values) -> bool:
         """Compare values by name. Return whether they are the same."""
-        parted = self._parted(recorded, replayed)
+        parted = self._first_difference(recorded, replayed)
         return self.same(kind) if parted is None else self.different(kind, number, time_ns, *parted)
 
-    def _parted(self, before: Values, now: Values) -> tuple[str, Any, Any] | None:
+    def _first_difference(self, before: Values, now: Values) -> tuple[str, Any, Any] | None:
         """The first field that is not the same, and both its values."""
         for field in [*before, *(field for field in now if field not in before)]:
             apart = 0.0 if field == "digest" else _apart(before.get(field), now.get(field))
@@ -125,5 +164,5 @@ def _stamp(message: Any) -> int:
     return int(message.capture_ns)
 
 
-def _shown(value: Any) -> str:
+def _as_text(value: Any) -> str:
     return "nothing" if value is None else repr(value)

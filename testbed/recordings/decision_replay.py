@@ -119,7 +119,7 @@ class ReplayedAnswers:
                 told = (one.message.number, one.log_ns, "kind", one.message.kind, None)
                 self._comparison.different(REFERENCE, *told)
             else:
-                again = own.reference_bytes(one.message.number, _timed(request, one.message))
+                again = own.reference_bytes(one.message.number, _as_request(request, one.message))
                 self._comparison.message(REFERENCE, one.message.number, one.message, again, one.log_ns)
 
 
@@ -169,7 +169,7 @@ class DecisionReplay:
             except LeavesReplay:
                 continue  # where it parted has been told, or the recording ends
             else:
-                self._ended(ending)
+                self._note_end(ending)
         return self.comparison
 
     def _ending(self, begun: BegunOperation) -> Ending:
@@ -191,7 +191,7 @@ class DecisionReplay:
                 run(self._arm.halt())
         return ending
 
-    def _ended(self, ending: Ending) -> None:
+    def _note_end(self, ending: Ending) -> None:
         left = self._operations.next_call()
         recorded = self._operations.ending
         if left is not None:
@@ -209,7 +209,7 @@ def _flat(ending: Ending) -> Values:
     return decode(in_json(ending))
 
 
-def _timed(request: Request | StreamedPose, recorded: Any) -> Request | StreamedPose:
+def _as_request(request: Request | StreamedPose, recorded: Any) -> Request | StreamedPose:
     if isinstance(request, StreamedPose) and request.time_ns == UNTIMED:
         return request._replace(time_ns=recorded.measured_ns)
     return request

@@ -68,7 +68,7 @@ def merge(files: Sequence[Path], target: Path, attached: Sequence[Path] = ()) ->
             topics.append(topic)
     topics.append(Topic(JOINTS, format_of(FrameTransforms), bytes))
     with new_recording(target, topics, _metadata(parts, clocks), _attachments(attached)) as file:
-        streams = [_mapped(part, clocks[part.service], numbers) for part in parts.values()]
+        streams = [_on_common_clock(part, clocks[part.service], numbers) for part in parts.values()]
         joined = False
         for log_ns, number, data, publish_ns in heapq.merge(*streams, key=lambda each: each[0]):
             if not joined:
@@ -150,7 +150,7 @@ def _capture_times(part: _Part) -> dict[int, int]:
     return {made.FromString(data).frame_id: log_ns for log_ns, data in _of(part, CAPTURE)}
 
 
-def _mapped(
+def _on_common_clock(
     part: _Part, clock: ClockMap, numbers: Mapping[tuple[str, int], int]
 ) -> Iterator[tuple[int, int, bytes, int]]:
     """Log time on the common clock, topic number, data and publish time of each message."""

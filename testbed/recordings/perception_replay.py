@@ -86,8 +86,8 @@ class PerceptionReplay:
         takers: dict[str, Callable[[Any], None]] = {
             topics.OBSERVATION: self._observation,
             topics.ODOMETRY_START: self._odometry_start,
-            topics.ODOMETRY: self._tracked,
-            topics.ERRORS: self._fitted,
+            topics.ODOMETRY: self._replay_track,
+            topics.ERRORS: self._replay_fit,
             topics.LOOK: self._look,
         }
         frames: list[Any] = []  # wait for their pictures, which follow them
@@ -127,20 +127,20 @@ class PerceptionReplay:
             del self._pairs[next(iter(self._pairs))]
 
     def _observation(self, said: Any) -> None:
-        previous = self._known(said)
+        previous = self._replayed_observation(said)
         found = self._sensor.observe(self._pair(said), previous)
         before = said.previous if said.HasField("previous") else None
         again = own.observation_bytes(own.NumberedObservation(said.number, before, said.corrected, found))
         self._observations[said.number] = self._at[found.capture_ns] = found
         self._observations.pop(said.number - _KEPT_OBSERVATIONS, None)
-        self._compared(OBSERVATION, said.frame_id, said, again)
+        self._compare(OBSERVATION, said.frame_id, said, again)
 
     def _odometry_start(self, said: Any) -> None:
-        self._odometry = {said.odometry: self._sensor.odometry(self._known(said))}
+        self._odometry = {said.odometry: self._sensor.odometry(self._replayed_observation(said))}
         self._at = {time_ns: seen for time_ns, seen in self._at.items() if time_ns == max(self._at)}
         self._poses.clear()
 
-    def _tracked(self, said: Any) -> None:
+    def _replay_track(self, said: Any) -> None:
         pair = self._pair(said)
         seen = self._at.get(pair.capture_ns)
         X_CM = seen.X_CM if said.tool_given and seen is not None else None
@@ -156,13 +156,13 @@ class PerceptionReplay:
             own.ToldWithFrame(X_CM is not None, X_BT),
             found or odometry.last_loss or "lost",
         )
-        self._compared(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))
+        self._compare(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))
 
-    def _fitted(self, said: Any) -> None:
+    def _replay_fit(self, said: Any) -> None:
         captures = tuple(said.captures_ns)
         found = self._sensor.errors([self._sample(capture_ns) for capture_ns in captures])
         self._errors = found or self._errors
-        self._compared(ERRORS, len(captures), said, own.fitted_bytes(own.Fitted(captures, found)))
+        self._compare(ERRORS, len(captures), said, own.fitted_bytes(own.Fitted(captures, found)))
 
     def _look(self, said: Any) -> None:
         self._looks += 1
@@ -178,9 +178,9 @@ class PerceptionReplay:
         except MeasurementFailed as error:
             self.comparison.different(LOOK, self._looks, said.time_ns, "outcome", "a look", error.cause)
             return
-        self._compared(LOOK, self._looks, said, own.look_bytes(own.CombinedLook(look, numbers)))
+        self._compare(LOOK, self._looks, said, own.look_bytes(own.CombinedLook(look, numbers)))
 
-    def _compared(self, kind: str, number: int, recorded: Any, replayed: bytes) -> None:
+    def _compare(self, kind: str, number: int, recorded: Any, replayed: bytes) -> None:
         self.comparison.message(kind, number, recorded, replayed)
         if self._on_message is not None:
             self._on_message(kind, recorded, replayed)
@@ -192,7 +192,7 @@ class PerceptionReplay:
             raise RecordingUnreadable("recording.missing_frame", why)
         return found
 
-    def _known(self, said: Any) -> FrameObservation | None:
+    def _replayed_observation(self, said: Any) -> FrameObservation | None:
         """The observation that this one went on from, as it came out again."""
         if not said.HasField("previous"):
             return None

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 from mcap.records import Message, Metadata
 
 from foundation.configuration import merged, validated
-from foundation.recording.decoding import Damage, RecordingUnreadable, messages, walk
+from foundation.recording.decoding import Damage, RecordingUnreadable, messages, session_entries, walk
 from foundation.recording.messages import fields_of
-from foundation.recording.session import session_entries
 from nominal_arm.description import NominalArm
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import Look, WatchSample
@@ -128,7 +127,11 @@ class RecordedOperations:
         while self._in_operation and self.next_call() is not None:
             pass
         for topic, record in self._messages:
-            begun = self._begun(fields_of(record.data), record.log_time) if topic == topics.EVENT else None
+            begun = (
+                self._operation_begun(fields_of(record.data), record.log_time)
+                if topic == topics.EVENT
+                else None
+            )
             if begun is not None:
                 self._in_operation, self.ending = True, None
                 self.unread.clear()
@@ -172,7 +175,7 @@ class RecordedOperations:
             samples = self.samples.setdefault(said.watch, [])
             samples[said.number :] = [reads.sample_of_message(said)]
 
-    def _begun(self, said: dict[str, Any], log_ns: int) -> BegunOperation | None:
+    def _operation_begun(self, said: dict[str, Any], log_ns: int) -> BegunOperation | None:
         if said["event"] not in _BEGINS:
             return None
         return BegunOperation(said["kind"], said.get(_BEGINS[said["event"]]) or {}, log_ns)

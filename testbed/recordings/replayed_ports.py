@@ -146,7 +146,7 @@ class ReplayedWatch:
     @property
     def samples(self) -> tuple[WatchSample, ...]:
         """As many as there were then."""
-        return self._seen(self._answers.take("watch.samples").message.samples)
+        return self._watch_samples(self._answers.take("watch.samples").message.samples)
 
     @property
     def health(self) -> WatchHealth:
@@ -156,9 +156,9 @@ class ReplayedWatch:
     async def after(self, count: int, timeout_s: float) -> WatchSample | None:
         """What was given then."""
         said = self._answers.take("watch.after").message
-        return self._seen(said.samples)[-1] if said.HasField("samples") else None
+        return self._watch_samples(said.samples)[-1] if said.HasField("samples") else None
 
-    def _seen(self, count: int) -> tuple[WatchSample, ...]:
+    def _watch_samples(self, count: int) -> tuple[WatchSample, ...]:
         return tuple(self._operations.samples.get(self._number, ())[:count])
 
 

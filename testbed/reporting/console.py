@@ -1,13 +1,15 @@
 """What all commands of ``longreach`` share: consoles, progress bars, tables, JSON files."""
 
 import json
+import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from string import Formatter
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
@@ -188,3 +190,72 @@ def bars(*, quiet: bool = False) -> Iterator[Bars]:
     )
     with Progress(*columns, console=err, disable=quiet or not sys.stderr.isatty()) as progress:
         yield Bars(progress, quiet)
+
+
+INTERRUPTED = 130  # as a shell has it for SIGINT
+
+
+class Interrupted(NamedTuple):
+    """One row: what is kept, what the same command does after it, and the exit status."""
+
+    kept: str
+    again: str = "begins anew"
+    status: int = INTERRUPTED
+
+
+_NOTHING = Interrupted("nothing")
+_ROWS = Interrupted("every finished row, in `rows.csv`", "goes on from there")
+_RUN = Interrupted("logs and recordings, in the run's directory", "begins anew, in another directory")
+_SERVED = Interrupted("everything: Ctrl-C is how it is ended", status=0)
+LONG: Mapping[str, Interrupted] = MappingProxyType(
+    {
+        "demo": _RUN,
+        "up": _SERVED,
+        "soak": _RUN,
+        "experiment": _ROWS,
+        "commission": Interrupted("every finished joint, in the session's directory", "goes on from there"),
+        "identify": _NOTHING,
+        "replay": _NOTHING,
+        "camera calibrate": _NOTHING,
+        "camera emulate": _NOTHING,
+        "hand-eye session run": Interrupted("every sample taken, in the rig's session", "goes on from there"),
+        "odometry": _NOTHING,
+        "picture effects": Interrupted("the pictures drawn until then"),
+        "picture run": _NOTHING,
+        "conformance": _NOTHING,
+        "recording": Interrupted("nothing half made"),
+        "proxy": _SERVED,
+        "sniff": _SERVED,
+    }
+)
+
+
+def long_command(words: Sequence[str]) -> str | None:
+    """The long command that ``words``, options among them, begin with; None: one too short to be told of."""
+    found = [name for name in LONG if list(words[: name.count(" ") + 1]) == name.split()]
+    return max(found, key=len, default=None)
+
+
+@contextmanager
+def nothing_half_made(target: Path) -> Iterator[None]:
+    """Where Ctrl-C ends the block, a file or directory that it began is removed: it would be in the way."""
+    there = target.exists()
+    try:
+        yield
+    except KeyboardInterrupt:
+        if target.is_dir() and not there:
+            shutil.rmtree(target, ignore_errors=True)
+        elif not there:
+            target.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def kept_on_ctrl_c(told: Callable[[], str]) -> Iterator[None]:
+    """Where Ctrl-C ends the block, ``told`` is asked what is kept, and it is said; empty: nothing is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if kept := told():
+            err.print(kept, markup=False, highlight=False, soft_wrap=True)
+        raise

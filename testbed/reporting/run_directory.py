@@ -1,18 +1,95 @@
 """Where runs are kept: a new directory for each, with its record, and an index page of all of them."""
 
+import json
 import os
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, NamedTuple
 
+from rich.table import Table
+from rich.text import Text
+
+from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError, LongreachError
+from testbed.reporting import outcome as outcomes
 from testbed.reporting import run_record as record
-from testbed.reporting.ctrl_c import kept_on_ctrl_c
-from testbed.reporting.report import rendered
-from testbed.reporting.run_record import RECORD_FILE, KeptRun
+from testbed.reporting.console import kept_on_ctrl_c, out, write_json
+from testbed.reporting.outcome import Outcome
+from testbed.reporting.plots import Traces
+from testbed.reporting.report import Picture, rendered, write_report
+from testbed.reporting.run_record import RECORD_FILE, KeptRun, note
+from testbed.scenarios.scenario import NamedRequest
+
+
+class Choice(NamedTuple):
+    """What a demonstration is asked for; ``holes``: to drive to three drill holes, not to the object.
+
+    ``programs``: to run after the orientation adjustment, in place of calibration and looks. ``faults``: what
+    breaks, counted from the start.
+    """
+
+    scenario: str
+    seed: int
+    looks: int
+    holes: bool = False
+    programs: tuple[NamedRequest, ...] = ()
+    faults: tuple[FaultOrder, ...] = ()
+
+
+def outcome_table(outcome: Outcome) -> Table:
+    """The stages with image-based and true errors."""
+    table = Table(
+        title=f"error of the tool at the object, mm and degrees ({outcome.mode})", title_justify="left"
+    )
+    for index, heading in enumerate(outcomes.HEADINGS):
+        table.add_column(heading, justify="left" if index == 0 else "right", no_wrap=True)
+    for row in outcomes.rows(outcome.stages):
+        table.add_row(*row)
+    return table
+
+
+def present(
+    directory: Path,
+    outcome: Outcome,
+    traces: Traces,
+    pictures: Sequence[Picture],
+    events: Sequence[Mapping[str, Any]],
+    json_file: Path | None,
+) -> bool:
+    """Whether ``outcome`` has passed; its table, verdict and report are out."""
+    known = ("mode", "scenario", "seed", "passed", "simulated_s")
+    told = {name: getattr(outcome, name) for name in known}
+    note(directory, **told, verdict=outcomes.verdict(outcome))
+    report = write_report(directory, outcome, traces, pictures, events)
+    out.print(outcome_table(outcome))
+    for stage in outcome.stages:
+        if stage.note:
+            out.print(Text(f"{stage.label}: {stage.note}", style="dim"))
+    for fault in outcome.details.get("faults", ()):
+        out.print(Text(f"fault in the plant: {fault['name']} {fault['fault']}", style="bold yellow"))
+    if "overload" in outcome.details:
+        out.print(Text(outcome.details["overload"], style="bold yellow"))
+    if "failure" in outcome.details:
+        out.print(Text(f"stopped by: {outcome.details['failure']}", style="bold red"))
+    out.print(Text(outcomes.verdict(outcome), style="bold green" if outcome.passed else "bold red"))
+    speed = outcome.simulated_s / outcome.wall_s
+    out.print(f"{outcome.simulated_s:.1f} s of arm time in {outcome.wall_s:.1f} s ({speed:.2f} × real time)")
+    out.print(f"report: {report}", highlight=False, soft_wrap=True)
+    write_json(json_file, outcomes.figures(outcome))
+    return outcome.passed
+
+
+def read_events(directory: Path) -> list[dict[str, Any]]:
+    """The events that a service recorded into ``directory``; none where it could not."""
+    path = directory / "events.jsonl"
+    if not path.is_file():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+
 
 INDEX = "index.html"
 _STAMP = re.compile(r"\d{8}-\d{6}(-\d+)?")
@@ -31,13 +108,15 @@ def run_directory(runs: Path) -> Iterator[Path]:
     began_s, ended_by = time.monotonic(), ""
     try:
         record.note(directory, **known)
-        with kept_on_ctrl_c(lambda: f"what was recorded is kept in {directory}" if _kept(directory) else ""):
+        with kept_on_ctrl_c(
+            lambda: f"what was recorded is kept in {directory}" if _has_results(directory) else ""
+        ):
             yield directory
     except BaseException as error:
         ended_by = f"{error.cause}: {error}" if isinstance(error, LongreachError) else type(error).__name__
         raise
     finally:
-        if _kept(directory):
+        if _has_results(directory):
             record.note(directory, took_s=time.monotonic() - began_s, ended_by=ended_by)
             with suppress(OSError):  # the run itself is kept
                 write_index(runs)
@@ -48,7 +127,7 @@ def run_directory(runs: Path) -> Iterator[Path]:
                     runs.rmdir()
 
 
-def _kept(directory: Path) -> bool:
+def _has_results(directory: Path) -> bool:
     """Whether there is anything in it beside its record."""
     files = (path for path in directory.rglob("*") if path.is_file())
     return not all(file.name.startswith(RECORD_FILE) for file in files)

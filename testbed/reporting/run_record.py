@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from foundation.command_options import shipped_configs
 from testbed.reporting.console import plain
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 
 RECORD_FILE = "run.json"
 FORMAT = 1

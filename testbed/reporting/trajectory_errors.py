@@ -77,11 +77,11 @@ def trajectory_errors(
 
 
 def _errors(estimates: Array, true: Array) -> TrajectoryErrors:
-    places, wanted = estimates[:, :3, 3], true[:, :3, 3]
-    R, t, scale = _aligned(places, wanted)
-    ate = np.linalg.norm(places @ R.T + t - wanted, axis=1)
+    places, truth = estimates[:, :3, 3], true[:, :3, 3]
+    R, t, scale = _align(places, truth)
+    ate = np.linalg.norm(places @ R.T + t - truth, axis=1)
     steps = [_relative(estimates, true, i, i + 1) for i in range(len(true) - 1)]
-    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wanted, axis=0), axis=1))])
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(truth, axis=0), axis=1))])
     return TrajectoryErrors(
         len(true),
         float(travelled[-1]),
@@ -114,14 +114,14 @@ def _drift(estimates: Array, true: Array, travelled: Array) -> float | None:
     return 100.0 * float(np.mean(shares))
 
 
-def _aligned(places: Array, wanted: Array) -> tuple[Array, Array, float]:
-    """R, t of the best rigid alignment of ``places`` (n, 3) to ``wanted``, and the scale of the best
+def _align(places: Array, truth: Array) -> tuple[Array, Array, float]:
+    """R, t of the best rigid alignment of ``places`` (n, 3) to ``truth``, and the scale of the best
     similarity, places over wanted (Umeyama 1991).
     """
-    a, b = places - places.mean(axis=0), wanted - wanted.mean(axis=0)
+    a, b = places - places.mean(axis=0), truth - truth.mean(axis=0)
     U, singular, Vt = np.linalg.svd(b.T @ a)
     sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt)) or 1.0])
     R = U @ sign @ Vt
     stretch = float((singular * np.diag(sign)).sum())
     scale = float((a**2).sum()) / stretch if stretch > 0.0 else float("nan")
-    return R, wanted.mean(axis=0) - R @ places.mean(axis=0), scale
+    return R, truth.mean(axis=0) - R @ places.mean(axis=0), scale

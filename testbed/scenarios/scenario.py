@@ -6,16 +6,79 @@ and the seed only, so that adding one draw leaves all others as they were.
 """
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel, laid_over, layers, merged, validated
+from controller.config import ControllerConfig
+from foundation.configuration import StrictModel, laid_over, layers, load, merged, parse_overrides, validated
+from nominal_arm.description import NominalArm
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.config.service import PlantServiceConfig
+from plant_emulator.core.faults.schedule import FaultOrder, order_with
+from plant_emulator.shell.fault_desk import every_kind, installed_faults, own_kinds
 from protocol.errors import ConfigurationError
+from vision_pc.config.vision import VisionConfig
+
+
+class NamedRequest(NamedTuple):
+    """A program, and what its request says."""
+
+    name: str
+    body: Mapping[str, Any]
+
+
+def named_request(word: str) -> NamedRequest:
+    """``NAME[,KEY=VALUE…]``, values as in YAML. Raises ConfigurationError (``configuration.bad_word``)."""
+    name, *pairs = _parts(word)
+    body = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not key or not equals:
+            raise ConfigurationError("configuration.bad_word", f"{word}: {pair!r}: wanted KEY=VALUE")
+        try:
+            body[key.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigurationError("configuration.bad_word", f"{word}: {pair!r}: no value") from error
+    return NamedRequest(name.strip(), body)
+
+
+def fault_orders(words: Sequence[str]) -> tuple[FaultOrder, ...]:
+    """What to break, of ours and of installed packages. ``start_after_s`` and ``duration_s`` say when.
+
+    Raises ConfigurationError.
+    """
+    return tuple(_order(word) for word in words)
+
+
+def _order(word: str) -> FaultOrder:
+    kind, body = named_request(word)
+    if kind not in every_kind():
+        known = f"{', '.join(every_kind())}{installed_faults().why_not(kind)}"
+        raise ConfigurationError(
+            "configuration.unknown_fault", f"--fault {kind}: no such kind; known: {known}"
+        )
+    when = {key: body[key] for key in ("start_after_s", "duration_s") if key in body}
+    fault = {"kind": kind} | {key: value for key, value in body.items() if key not in when}
+    return validated(order_with(own_kinds()), {"fault": fault} | when, f"--fault {word}")
+
+
+def _parts(word: str) -> list[str]:
+    """``word`` cut at its commas, but for those inside brackets."""
+    parts, depth = [""], 0
+    for character in word:
+        depth += (character in "[{") - (character in "]}")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
 
 _SCENARIOS = "scenarios"
 
@@ -30,7 +93,7 @@ class Uniform(StrictModel):
     high: Value
 
     @model_validator(mode="after")
-    def _ordered(self) -> "Uniform":
+    def _check_order(self) -> "Uniform":
         if np.shape(self.low) != np.shape(self.high):
             raise ValueError("low and high are of different length")
         if np.any(np.asarray(self.low) > np.asarray(self.high)):
@@ -150,3 +213,66 @@ def load_scenario(config_dir: Path, name: str) -> Scenario:
         )
     content, where = laid_over(config_dir, f"{_SCENARIOS}/{name}.yaml")
     return validated(Scenario, content, where)
+
+
+MODELS: dict[str, type[StrictModel]] = {
+    "arm": NominalArm,
+    "controller": ControllerConfig,
+    "plant": PlantConfig,
+    "plant_service": PlantServiceConfig,
+    "scene": SceneConfig,
+    "vision": VisionConfig,
+}
+
+Overrides = Mapping[str, Mapping[str, Any]]
+
+
+class Settings(NamedTuple):
+    """Every configuration file, validated."""
+
+    arm: NominalArm
+    controller: ControllerConfig
+    plant: PlantConfig
+    plant_service: PlantServiceConfig
+    scene: SceneConfig
+    vision: VisionConfig
+
+
+def loaders(config_dir: Path, overrides: Overrides) -> dict[str, Callable[[], StrictModel]]:
+    """For each configuration file its loader, which raises ConfigurationError when called."""
+
+    def loader(name: str) -> Callable[[], StrictModel]:
+        return lambda: load(MODELS[name], config_dir / f"{name}.yaml", overrides.get(name))
+
+    return {name: loader(name) for name in MODELS}
+
+
+def load_settings(config_dir: Path, overrides: Overrides) -> Settings:
+    """All configuration files with ``overrides`` (file name → nested keys) laid over them.
+
+    Raises ConfigurationError for the first fault, and for an override of a file that does not exist.
+    """
+    unknown = sorted(set(overrides) - set(MODELS))
+    if unknown:
+        raise ConfigurationError(
+            "configuration.unknown_file", f"--set {unknown[0]}…: no such file; known: {', '.join(MODELS)}"
+        )
+    return Settings(**{name: make() for name, make in loaders(config_dir, overrides).items()})  # type: ignore[arg-type]
+
+
+def chosen_overrides(
+    config_dir: Path, scenario: str | None, seed: int, assignments: list[str]
+) -> dict[str, dict[str, Any]]:
+    """The overrides of a scenario's world for ``seed``, with the ``--set`` assignments over them.
+
+    Raises ConfigurationError for an unknown scenario or a malformed assignment.
+    """
+    world = load_scenario(config_dir, scenario).world(seed) if scenario else {}
+    return merged(world, parse_overrides(assignments))
+
+
+def with_face(overrides: Overrides, allow_faults: bool, show_truth: bool = False) -> Overrides:
+    """``overrides``, and the emulator's HTTP face allowed to break things, or to tell where the arm is."""
+    wanted = {"allowed": allow_faults, "shows_truth": show_truth}
+    face = {name: True for name, is_wanted in wanted.items() if is_wanted}
+    return merged(overrides, {"plant_service": {"fault_face": face}}) if face else overrides

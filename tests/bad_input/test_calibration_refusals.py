@@ -15,8 +15,8 @@ from laboratory.campaigns.campaign import CampaignRequest, run_campaign
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
 from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import FaultCode, GroupState
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from tests.faults.rig import settings_of
 

@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from controller.shell.scan_recorder import FILE
 from testbed.realtime.launch import CONTROLLER, VISION
-from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state, launched
+from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state
 from tests.browser.stop_times import RESTED_S, read_scans, standby_openings, stop_times
 from tests.integration.services import Running, running, until_healthy
 from tests.support.paired import mean_and_half_width
@@ -34,12 +34,6 @@ TRIALS = int(os.environ.get("CONSOLE_STOPS", "100"))
 EVERY_SCAN_HZ = 1000  # or as many as there are
 PAGE_KB, WATCHER_PERCENT, CANVAS_MS, HEAP_MB, STOP_MS = 250.0, 6.0, 120.0, 1.0, 150.0
 LEAST_HZ = 2.0  # pictures, of the ten that are sent: a page that shows none has nothing to keep
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 @contextlib.contextmanager

@@ -6,7 +6,6 @@ processor takes a core.
 
 import contextlib
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -15,7 +14,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note, reach
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note, reach
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
 
@@ -25,12 +24,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
 LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 def slip(page: Page) -> None:
@@ -79,17 +72,6 @@ def jog(page: Page) -> None:
         with contextlib.suppress(AssertionError):
             return is_state(page, "moving", 3_000.0)
     raise AssertionError("no jog was accepted")
-
-
-def test_the_row_back_to_the_first_pose_says_when_the_newest_move_was_a_jog(browser: Browser) -> None:
-    with console(browser) as (page, _, _url):
-        hold(page, "#enable")
-        is_state(page, "standby")
-        jog(page)
-        note(page, "home", "jog: done")
-        hold(page, "#start-home")
-        row = page.locator('#procedure li[data-kind="home"] .note')
-        expect(row).to_have_text(re.compile("^done"), timeout=WITHIN_MS)
 
 
 def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
@@ -349,8 +331,3 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
     assert second == first | {"other_u_px": second["other_u_px"], "other_v_px": second["other_v_px"]}
     assert third["u_px"] == 630.0
     assert keyed == third | {"other_u_px": 610.0, "other_v_px": 300.0}
-
-
-def test_the_pages_of_the_api_come_from_here(browser: Browser) -> None:
-    with served_bench() as (url, _), opened(browser, f"{url}/docs") as page:
-        expect(page.locator(".opblock").first).to_be_visible(timeout=WITHIN_MS)

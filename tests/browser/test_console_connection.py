@@ -2,14 +2,13 @@
 
 import contextlib
 import re
-from collections.abc import Iterator
 
 import httpx
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state
 from tests.browser.open_console import eventually, opened
 from tests.browser.stranding_relay import stranding
 from tests.vision_pc.shell.rest_server import served_bench
@@ -23,12 +22,6 @@ HIDDEN = """(hidden) => {
     Object.defineProperty(document, 'hidden', { value: hidden, configurable: true });
     document.dispatchEvent(new Event('visibilitychange'));
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 def test_what_was_not_answered_may_still_happen_and_the_page_says_so(browser: Browser) -> None:

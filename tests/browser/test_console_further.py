@@ -3,7 +3,6 @@ are no use.
 """
 
 import re
-from collections.abc import Iterator
 
 import httpx
 import numpy as np
@@ -12,7 +11,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note
 from tests.browser.open_console import eventually, opened
 from tests.vision_pc.shell.rest_server import served_bench
 from vision_pc.core.targets.keeper import KeptTarget
@@ -25,12 +24,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
 LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 class NearEmulator:
@@ -237,51 +230,6 @@ def test_go_drives_to_the_target_that_the_page_showed_though_another_console_has
             )
 
 
-def test_what_another_console_does_to_the_group_voids_advice_and_reasons(browser: Browser) -> None:
-    with served_bench(enabled=False) as (url, bench):
-        bench.eyes.picture_s = 0.5
-        with opened(browser, url) as page:
-            second_picture(page)
-            jog, answer = page.locator("#jog-x-plus"), page.locator("#answer")
-            expect(jog).to_have_attribute("title", "the arm is disabled: hold ENABLE first")
-            click_until(page, "Next: ENABLE, then click it once more")
-            assert httpx.post(f"{url}/enable").is_success
-            expect(answer).to_have_text("")
-            expect(jog).to_have_attribute("title", "")
-            expect(page.locator("#enable")).to_have_attribute("title", "the arm is enabled")
-            click_until(page, "Next: local calibration (step 2), then Go.")
-            page.keyboard.press("Escape")
-            expect(answer).to_contain_text("ENABLE still holds.")
-            assert httpx.post(f"{url}/disable").is_success
-            expect(answer).to_have_text("")
-            bench.eyes.look_s = 3.0
-            assert httpx.post(f"{url}/enable").is_success
-            assert httpx.post(f"{url}/operations/orientation-adjustment", json={}).status_code == 202
-            expect(jog).to_have_attribute("title", "1 Turn parallel is running")
-            page.locator("#left").click(force=True)
-            expect(answer).to_contain_text("(refused.busy)")
-            expect(answer).to_have_attribute(
-                "data-said", re.compile(r"\d\d:\d\d:\d\d")
-            )  # it stays, with its time
-            bench.silence()
-            expect(jog).to_have_attribute("title", "no word from the controller", timeout=WITHIN_MS)
-        assert bench.eyes.targets.list()
-
-
-def test_a_strip_says_which_line_is_which_joint(browser: Browser) -> None:
-    with served_bench() as (url, _), opened(browser, url) as page:
-        is_state(page, "standby")
-        for strip in ("#strip-joint-error", "#strip-valves"):
-            names = page.locator(f"{strip} .legend li")
-            expect(names).to_have_text(["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"])
-            line = "(each) => each.getAttribute('stroke') + each.getAttribute('stroke-dasharray')"
-            assert len(set(names.locator("path").evaluate_all(f"all => all.map({line})"))) == 6
-            expect(page.locator(f"{strip} .live-value")).to_have_text(
-                re.compile(r"^(slew|lift|tilt|wrist\d) ")
-            )
-        expect(page.locator("#strip-supply .legend")).to_have_count(0)
-
-
 def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_next(browser: Browser) -> None:
     with served_bench(enabled=False) as (url, bench):
         bench.eyes.picture_s = 0.5
@@ -311,23 +259,6 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
             expect(newest).to_contain_text("t11")
             page.locator("#targets").scroll_into_view_if_needed()
             expect(newest).to_be_in_viewport()  # of a list that scrolls
-
-
-def test_a_double_click_is_one_target_and_a_click_before_there_is_a_picture_none(browser: Browser) -> None:
-    with served_bench() as (url, bench), opened(browser, url) as page:
-        bench.eyes.picture_s = 0.5
-        second_picture(page)
-        page.evaluate("""() => {
-            const left = document.querySelector('#left');
-            left.removeAttribute('data-frame');
-            left.dispatchEvent(new MouseEvent('click', { bubbles: true }));
-        }""")  # at once: the next picture comes when it likes
-        expect(page.locator("#answer")).to_contain_text("There is no picture yet: wait for one, then click.")
-        second_picture(page)
-        page.locator("#left").dblclick(force=True)
-        expect(page.locator("#answer")).to_contain_text("Target t1: ", timeout=WITHIN_MS)
-        page.wait_for_timeout(1_000)
-        assert [each["id"] for each in httpx.get(f"{url}/targets").json()["targets"]] == ["t1"]
 
 
 def test_who_clicks_while_another_operator_works_is_told_so(browser: Browser) -> None:

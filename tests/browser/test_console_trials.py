@@ -1,7 +1,6 @@
 """What the console has for a machine that is put into service: hand-eye calibration, trial of valves."""
 
 import re
-from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -9,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
 
@@ -18,12 +17,6 @@ pytestmark = [
     pytest.mark.timeout(400),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 @pytest.mark.parametrize("width", [390, 1280])

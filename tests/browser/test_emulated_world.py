@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state, launched
+from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state
 from tests.browser.open_console import eventually, opened
 from tests.support.paths import ROOT
 
@@ -28,12 +28,6 @@ SETTINGS = (  # for a machine that is busy: else it has no pictures at all, and 
     *("--set", "plant_service.renderer_scheduling=normal"),
     *("--set", "controller.reference_link.link_timeout_ms=5000"),
 )
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as started:
-        yield started
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 from conformance.case import GOOD, CaseOutcome, ConformanceCase, Result
-from conformance.coupler import tester_clock
+from conformance.coupler import frames
 from conformance.runner import coupler_cases, reference_cases, run_coupler, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
@@ -156,12 +156,12 @@ def controllers_in_simulated_time() -> Iterator[None]:
 @contextmanager
 def shifted_clock() -> Iterator[ShiftedClock]:
     """The tester's clock is moved instead of waited for."""
-    before, clock = tester_clock.time, ShiftedClock()
-    tester_clock.time = clock  # type: ignore[assignment]
+    before, clock = frames.time, ShiftedClock()
+    frames.time = clock  # type: ignore[assignment]
     try:
         yield clock
     finally:
-        tester_clock.time = before
+        frames.time = before
 
 
 def coupler_verdict(broken: BrokenCoupler, clock: ShiftedClock, *, every: bool = False) -> Verdict:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.datagram_layout import (
     FLAG_AUTHENTICATED,
     HEADER,

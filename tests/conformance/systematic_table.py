@@ -6,7 +6,7 @@ They are otherwise sound: the table of the scan differs in that cell alone.
 from collections.abc import Iterator
 from typing import Any
 
-from conformance.reference.arm.transitions import number_of
+from conformance.reference.arm_transitions import number_of
 from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.requests import enter_mode
 from protocol.axes_group import ANSWERS, Asked, Mode, Transition

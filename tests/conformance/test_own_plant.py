@@ -2,10 +2,9 @@
 
 import pytest
 
-from conformance.case import GOOD, CaseOutcome
+from conformance.case import CaseOutcome
 from conformance.runner import coupler_cases, run_coupler
 from tests.conformance.couplers import ThreadedCoupler
-from tests.conformance.test_own_controller import service
 
 
 @pytest.mark.slow("every case of the suite")
@@ -17,18 +16,3 @@ def test_our_own_coupler_passes_every_case() -> None:
     bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not CaseOutcome.PASS]
     assert bad == []
     assert len(summary.results) == len(coupler_cases()) >= 70
-
-
-@pytest.mark.experiment
-@pytest.mark.timeout(300)
-def test_our_own_plant_passes_every_case() -> None:
-    with service(
-        "plant_emulator",
-        "plant_service.modbus.port=0",
-        "plant_service.camera_stream.port=0",
-        "plant_service.fault_face.port=0",
-    ) as plant:
-        summary = run_coupler("127.0.0.1", plant["modbus"]["port"], outputs=True)
-    assert [
-        (r.case.number, r.outcome.value, r.detail) for r in summary.results if r.outcome not in GOOD
-    ] == []

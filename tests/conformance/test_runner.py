@@ -1,7 +1,6 @@
 """The runner: who is not there, what is asked twice, profiles, the first hour, and what is written of it."""
 
 import json
-import re
 import socket
 import threading
 from collections.abc import Iterator
@@ -12,14 +11,12 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome, CaseRegister, Summary
+from conformance.case import CaseOutcome, Summary
 from conformance.command import app as suites
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS
 from conformance.parts import OptionalPart, Profile, profile_from
 from conformance.peer import Peer
-from conformance.records import SCHEMA, SCHEMA_VERSION, as_json, write_records
+from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, write_records
 from conformance.runner import Manner, coupler_cases, run_coupler, run_reference
-from conformance.subjects import figures_of
 from conformance.wire import NonceSource
 from protocol.datagram_layout import Kind
 from protocol.errors import ConfigurationError
@@ -30,7 +27,6 @@ from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.coupler.page_coupler import PageServer
 from tests.conformance.coupler.rules import Rules
 from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
-from tests.support.paths import DOCS
 
 simulated = pytest.mark.usefixtures("network")
 CONTROL, COUPLER_CONTROL, STREAM, PATH, KEYLESS, MOVES = 101, 601, 541, 124, 722, 521
@@ -226,12 +222,6 @@ def test_what_fails_twice_failed_and_is_not_asked_a_third_time() -> None:
     assert summary.ended is None
 
 
-def test_lateness_is_ranked_and_nothing_is_nothing() -> None:
-    assert figures_of([]) == (0, 0.0, 0.0, 0.0)
-    assert figures_of([float(n) for n in range(100, 0, -1)]) == (100, 50.0, 99.0, 100.0)
-    assert figures_of([3.0]) == (1, 3.0, 3.0, 3.0)
-
-
 # Profiles.
 
 
@@ -302,13 +292,6 @@ def test_who_lacks_optional_parts_fails_no_case(kind: type[ControllerUnderTest])
 
 
 @simulated
-def test_a_seed_may_be_small() -> None:
-    with ControllerUnderTest() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 230], seed=1)
-    assert outcomes(summary) == {CONTROL: PASS, 230: PASS}
-
-
-@simulated
 def test_what_is_not_claimed_is_not_asked() -> None:
     numbers = (CONTROL, PATH, STREAM, KEYLESS, MOVES)
     with ControllerUnderTest() as controller:
@@ -333,24 +316,6 @@ def test_a_profile_is_a_file_or_names_and_says_what_is_wrong(tmp_path: Path) -> 
         profile_from(str(file))
     with pytest.raises(ConfigurationError, match=r"absent\.yaml"):
         profile_from(str(tmp_path / "absent.yaml"))
-
-
-def test_the_page_lists_the_parts_and_the_fields_of_the_results() -> None:
-    page = (DOCS / "conformance.md").read_text()
-    for part in OptionalPart:
-        assert f"| `{part.value}` |" in page
-    with ThreadedCoupler() as coupler:
-        written = as_json(run_coupler("127.0.0.1", coupler.port, numbers=[COUPLER_CONTROL]))
-    assert (written["schema"], written["schema_version"]) == (SCHEMA, SCHEMA_VERSION)
-    assert f"`{SCHEMA}`, {SCHEMA_VERSION}" in page
-    told = set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE))
-    assert set(written) | set(written["cases"][0]) | set(written["clauses"]["1.1"]) <= told
-
-
-def test_a_case_needs_what_it_moves_and_what_it_says() -> None:
-    register = CaseRegister[None](OptionalPart.MOTION)
-    register.case(1, "1.1", "one", motion=True, needs=OptionalPart.PATHS)(lambda peer: None)
-    assert register.cases[0].needs == {OptionalPart.MOTION, OptionalPart.PATHS}
 
 
 # The first hour.

@@ -15,7 +15,7 @@ from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
 pytestmark = [pytest.mark.slow("many stops on the emulated plant"), pytest.mark.timeout(600)]

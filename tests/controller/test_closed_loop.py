@@ -20,7 +20,7 @@ from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
 from protocol.reference_messages import ReferencePath, ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
 pytestmark = pytest.mark.slow("motions of the emulated plant, to rest")

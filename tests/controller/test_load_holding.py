@@ -12,7 +12,7 @@ from plant_emulator.core.plant import Plant
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
 pytestmark = pytest.mark.slow("drawn machines lower loads for minutes of arm time")

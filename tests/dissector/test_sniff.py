@@ -7,9 +7,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from conformance.bytes_of import with_bit_flipped
-from dissector.capture import from_file
-from dissector.command import sniff
+from conformance.wire import with_bit_flipped
+from dissector.command import from_file, sniff
 from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from protocol.errors import ConfigurationError

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from conformance.bytes_of import with_bit_flipped, with_number
+from conformance.wire import with_bit_flipped, with_number
 from dissector.generate import SCRIPT
 from protocol.authentication import LinkKey
 from protocol.datagram import encode

@@ -5,10 +5,9 @@ from functools import cache
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.reference_messages import Acknowledgement, Command, ReferencePath, ReferencePose, State
-from testbed.lockstep.clock import run
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import Wire, World
-from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from tests.faults.registers import Registers, assert_shut
 from tests.support.paths import CONFIGS
 

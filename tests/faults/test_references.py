@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import GroupState, Reason
 from protocol.pose import Pose

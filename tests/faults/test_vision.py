@@ -16,8 +16,8 @@ from foundation.rest.server import RestServer
 from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.reporting.console import bars
 from tests.faults.live import LiveRig, live

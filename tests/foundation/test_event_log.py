@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from foundation.event_log import LEVELS, MEMBERS, EventLog, in_words, process_log
+from foundation.event_log import MEMBERS, EventLog, in_words, process_log
 from protocol.errors import ConfigurationError, LinkLost
 from tests.support.log_lines import HeardLog, assert_obeys
-from tests.support.paths import DOCS
 
 
 class HangingReader(io.StringIO):
@@ -182,10 +181,3 @@ def test_what_was_raised_on_purpose_is_for_the_caller_to_say(capsys: pytest.Capt
 )  # fmt: skip
 def test_a_line_in_words(line: str, words: str) -> None:
     assert in_words(line) == words
-
-
-def test_the_page_names_every_member_and_level() -> None:
-    text = (DOCS / "event_log.md").read_text()
-    rows = [line.split("|")[1].strip(" `") for line in text.splitlines() if line.startswith("| `")]
-    assert rows[: len(MEMBERS)] == list(MEMBERS)
-    assert all(f"`{level}`" in text for level in LEVELS)

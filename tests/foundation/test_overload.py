@@ -9,7 +9,7 @@ import pytest
 
 from foundation import self_watch
 from foundation.event_log import EventLog
-from foundation.overload import Limit, OverloadWatch, Tally
+from foundation.periods import Limit, OverloadWatch, Tally
 from foundation.self_watch import SelfWatch
 
 S = 1_000_000_000
@@ -32,13 +32,6 @@ def test_both_sides_of_a_limit(missed: int, told: bool) -> None:
     watch = OverloadWatch(LIMITS)
     watch.update(0, {"scans": Tally(0, 0)})
     assert bool(watch.update(S, {"scans": Tally(400 - missed, missed)})) is told  # 1.0 %, 1.25 %
-
-
-def test_the_worst_in_terms_of_its_limit_is_told() -> None:
-    watch = OverloadWatch(LIMITS)
-    watch.update(0, {"scans": Tally(0, 0), "pictures": Tally(0, 0)})
-    told = watch.update(S, {"scans": Tally(98, 2), "pictures": Tally(20, 80)})
-    assert "80.0 % of the pictures" in told
 
 
 def test_it_is_over_when_five_seconds_were_good() -> None:

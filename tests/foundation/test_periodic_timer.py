@@ -5,7 +5,7 @@ import os
 import time
 from itertools import pairwise
 
-from foundation.periodic_timer import PeriodicTimer
+from foundation.periods import PeriodicTimer
 
 PERIOD_NS = 2_000_000
 

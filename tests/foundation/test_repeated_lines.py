@@ -5,7 +5,7 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foundation.repeated_lines import LATEST_NS, SOONEST_NS, RepeatedLines
+from foundation.event_log import LATEST_NS, SOONEST_NS, RepeatedLines
 
 MS = 1_000_000
 

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from foundation.scheduling import take_fifo, take_policy
+from foundation.periods import take_fifo, take_policy
 
 SHORT_SLICES_SINCE = (6, 12)
 
@@ -30,10 +30,6 @@ def test_without_the_real_time_class_it_asks_for_short_slices_where_the_kernel_h
     known = sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64")
     release = tuple(int(number) for number in re.findall(r"\d+", platform.release())[:2])
     assert obtained == ("short_slice" if known and release >= SHORT_SLICES_SINCE else "normal")
-
-
-def test_who_computes_asks_for_no_short_slices() -> None:
-    assert in_a_thread(lambda: take_policy("batch") and take_fifo(0))[0] == "normal"
 
 
 def test_a_thread_that_takes_idle_time_leaves_the_others_alone() -> None:

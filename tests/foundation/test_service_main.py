@@ -1,7 +1,6 @@
 """How every service starts and ends: arguments, refusals in one line, bugs on record, version, ports."""
 
 import asyncio
-import importlib.metadata
 import json
 import socket
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from foundation.event_log import EventLog
-from foundation.ports import bound_tcp, bound_udp
+from foundation.secret_source import bound_tcp, bound_udp
 from foundation.service_main import RECORDS, ServiceOptions, ServiceProgram, Switch, service_main
 from protocol.errors import ConfigurationError, LinkLost
 
@@ -115,13 +114,6 @@ def test_an_interrupt_leaves_no_traceback(capsys: pytest.CaptureFixture[str]) ->
 
     assert service_main(program(made)._replace(make=interrupted), []) == 130
     assert capsys.readouterr().err == ""
-
-
-def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        service_main(program(Made(lambda log: 0)), ["--version"])
-    assert ended.value.code == 0
-    assert capsys.readouterr().out == f"plant_emulator {importlib.metadata.version('longreach')}\n"
 
 
 @pytest.mark.parametrize("bound", [bound_tcp, bound_udp])

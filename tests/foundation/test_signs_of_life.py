@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener, signs_of_life
+from foundation.service_main import LONGEST_SILENCE, SOCKET, Listener, signs_of_life
 
 MS = 1_000_000
 
@@ -41,13 +41,3 @@ async def test_nothing_is_given_after_the_end() -> None:
     await asyncio.sleep(0.2)
     assert silence_ms(heard) >= 190.0
     heard.close()
-
-
-async def test_who_asked_may_have_gone() -> None:
-    async with signs_of_life({SOCKET: "@longreach-test-nobody", LONGEST_SILENCE: "10000"}):
-        await asyncio.sleep(0.05)
-
-
-async def test_nobody_asked() -> None:
-    async with signs_of_life({}):
-        assert len(asyncio.all_tasks()) == 1

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from foundation.statistics import StatisticsFile, resident_mb
+from foundation.self_watch import StatisticsFile, resident_mb
 from protocol.errors import ConfigurationError
 from tests.support.log_lines import HeardLog
 
@@ -61,7 +61,7 @@ async def test_a_disk_that_hangs_does_not_hold_the_loop(
             stood_still.set()
         return 0
 
-    monkeypatch.setattr("foundation.statistics._PERIOD_S", 0.0)
+    monkeypatch.setattr("foundation.self_watch._PERIOD_S", 0.0)
     monkeypatch.setattr(Path, "write_text", hang)
     file = StatisticsFile(tmp_path / "statistics.json", "vision_pc", log, dict)
     writing = asyncio.create_task(file.keep_writing())
@@ -96,11 +96,6 @@ def test_a_directory_that_cannot_be_written_is_refused_at_once(log: HeardLog, tm
         StatisticsFile(tmp_path / "file" / "statistics.json", "controller", log, dict)
     log.close()
     assert refused.value.cause == "configuration.statistics_unwritable"
-
-
-def test_without_a_path_nothing_is_gathered(log: HeardLog) -> None:
-    StatisticsFile(None, "controller", log, lambda: pytest.fail("gathered")).write()
-    log.close()
 
 
 def test_resident_memory_of_this_process_of_another_and_of_one_that_has_gone() -> None:

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS
+from conformance.records import COUPLER_STEPS, REFERENCE_STEPS
 from conformance.runner import coupler_cases, reference_cases
 from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.supervision import FAULTS

@@ -17,8 +17,8 @@ import yaml
 from foundation.configuration import parse_overrides
 from plant_emulator.core.truth import tool_error
 from plant_emulator.shell.recording import read_truth
+from testbed.realtime.launch import free_port
 from testbed.realtime.rest_rig import RestRig
-from testbed.realtime.supervisor import free_port
 from testbed.reporting.console import bars
 from tests.integration.services import ROOT
 

@@ -47,6 +47,6 @@ def test_case_19_a_flood_leaves_the_motion_alone_and_stop_works(tmp_path: Path) 
             assert client.command(CommandCode.DISABLE) is Reason.ACCEPTED
             client.until(lambda s: s.group_state is GroupState.DISABLED, 3.0)
             client.pump(0.3)
-            assert not rig.onlooker.status() & STATUS_VALVES_ENABLED
+            assert not rig.status() & STATUS_VALVES_ENABLED
             assert client.state.references_dropped > 1000
     assert stopped_s < 2.0

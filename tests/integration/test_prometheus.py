@@ -14,7 +14,7 @@ import httpx
 import pytest
 import yaml
 
-from foundation.ports import bound_tcp
+from foundation.secret_source import bound_tcp
 from tests.integration.services import Running, running, until_healthy
 from tests.support.grafana import expressions
 from tests.support.paths import ROOT

@@ -11,8 +11,7 @@ import controller.__main__
 import plant_emulator.__main__
 import vision_pc.__main__
 from testbed.cli.main import main as command
-from testbed.realtime.supervisor import free_port
-from tests.integration.services import run_service
+from testbed.realtime.launch import free_port
 from tests.support.paths import CONFIGS
 
 MAINS: dict[str, Callable[[list[str]], int]] = {
@@ -126,12 +125,6 @@ def test_a_missing_configuration_directory_is_named(service: str, capsys: pytest
     assert "configuration.unreadable" in one_line(capsys.readouterr().err)
 
 
-def test_a_service_is_a_program() -> None:
-    ended = run_service("controller", "--config-dir", "no-such-directory")
-    assert ended.returncode == 2
-    assert "configuration.unreadable" in one_line(ended.stderr)
-
-
 @pytest.mark.parametrize(
     ("arguments", "cause"),
     [
@@ -153,9 +146,3 @@ def test_the_command_answers_mistakes_in_one_line(
         command()
     assert ended.value.code == 2
     assert f"longreach: {cause}: " in one_line(capsys.readouterr().err)
-
-
-def test_the_command_is_a_program() -> None:
-    ended = run_service("testbed.cli", "doctor", "--json", "/proc/nothing/here.json")
-    assert ended.returncode == 2
-    assert "longreach: output.unwritable: " in one_line(ended.stderr)

@@ -48,12 +48,6 @@ def helped(command: Any) -> list[Any]:
     return [option.get_help_record(context) for option in command.get_params(context)]
 
 
-def test_the_list_says_what_each_shows_and_costs() -> None:
-    listed = CliRunner().invoke(app, ["experiment", "list"])
-    assert listed.exit_code == 0
-    assert all(name in listed.output for name in catalogue())
-
-
 def test_each_method_has_its_own_defaults_and_takes_its_own_options_alone(tmp_path: Path) -> None:
     corrected, servoing = (catalogue()["positioning"].load(name) for name in ("corrected", "visual-servoing"))
     assert (corrected.runs, servoing.runs) == (200, 60)

@@ -13,7 +13,6 @@ import pytest
 from typer.testing import CliRunner
 
 import longreach
-from foundation.extensions import installed
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.experiments import catalogue
 from laboratory.experiments.positioning import programs
@@ -26,9 +25,7 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api, fault_desk
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.cli.main import app
-from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.reporting.console import bars
-from testbed.scenarios.named_requests import fault_orders, named_request
+from testbed.scenarios.scenario import fault_orders
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.plant_world import plant_config
 from tests.support.pages import page
@@ -284,40 +281,6 @@ async def test_the_fault_api_serves_its_disturbance(site: Path) -> None:
     assert plant.truth().faults == ("payload_change", "swinging_load")
 
 
-class Asked:
-    """A rig that notes what it is asked."""
-
-    def __init__(self) -> None:
-        self.asked: list[tuple[str, Any]] = []
-
-    def command(self, name: str) -> None:
-        self.asked.append((name, None))
-
-    def operate(self, kind: str, body: Any, bar: object) -> Any:
-        self.asked.append((kind, body))
-
-    def latest_look(self) -> Any:
-        return type("Seen", (), {"time_ns": 5})()
-
-    def picture(self) -> bytes:
-        return b""
-
-    def now_ns(self) -> int:
-        return 5
-
-
-def test_a_demonstration_runs_the_programs_it_is_given() -> None:
-    rig = Asked()
-    programs = [named_request("nudge,up_mm=10"), named_request("look"), named_request("nudge")]
-    with bars(quiet=True) as shown:
-        recorder = Recorder(rig, shown)
-        demonstrate(rig, recorder, 1, programs)
-    ran = [asked for asked in rig.asked if asked[0] in ("nudge", "trajectory-matching", "look-then-move")]
-    assert ran == [("nudge", {"up_mm": 10}), ("nudge", {})]
-    labels = [(rest.label, rest.look_number) for rest in recorder.rests[2:]]
-    assert labels == [("nudge (1)", 0), ("look", 0), ("nudge (2)", 1)]
-
-
 def test_rows_are_evidence_of_the_package_s_sources(site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(programs, "sources_hash", lambda module: f"hash of {module}")
     request = CampaignRequest(CONFIGS, site / "rows")
@@ -336,7 +299,3 @@ def test_its_experiment_is_run_judged_and_resumed(site: Path, tmp_path: Path) ->
         done = CliRunner().invoke(app, words)
         assert done.exit_code == 0, done.output
         assert f"{reused} rows reused" in " ".join(done.output.split())
-
-
-def test_without_any_package_there_is_nothing_but_ours() -> None:
-    assert installed("longreach.nothing", (), lambda name, value: value) == ({}, {}, ())

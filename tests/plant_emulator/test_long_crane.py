@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
-from laboratory.validation.oracles import MujocoArm, PinocchioArm
+from laboratory.validation.ledger import MujocoArm, PinocchioArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.layout import N_COORDINATES
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work

@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.authentication import LinkKey
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, encode

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.authentication import LinkKey
 from protocol.channel import MAX_GAP_DATAGRAMS
 from protocol.client_session import ReferenceClient

@@ -5,7 +5,7 @@ import hmac
 
 import pytest
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.authentication import DirectionKey, LinkKey, fault_of
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS, Arrival, SequenceWindow
 from protocol.datagram import decode, encode

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from conformance.bytes_of import resealed, with_number
+from conformance.wire import resealed, with_number
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.client_session import ReferenceClient
 from protocol.datagram import decode, encode
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from conformance.bytes_of import with_number
+from conformance.wire import with_number
 from protocol.authentication import LinkKey
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from conformance.bytes_of import resealed, with_bit_flipped
+from conformance.wire import resealed, with_bit_flipped
 from protocol.authentication import DirectionKey, LinkKey
 from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES

@@ -2,7 +2,7 @@
 
 import pytest
 
-from conformance.bytes_of import with_number
+from conformance.wire import with_number
 from protocol import errors
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode

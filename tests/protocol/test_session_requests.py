@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.bytes_of import with_number
+from conformance.wire import with_number
 from protocol import errors
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode

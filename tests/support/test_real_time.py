@@ -101,18 +101,3 @@ def test_what_is_slow_is_begun_first_and_real_time_last(tmp_path: Path) -> None:
     status, lines = run(tmp_path, *DISTRIBUTED, "-n", "1", "-rP", **files)
     assert status == 0
     assert [line for line in lines if line in kinds] == ["slow", "plain", "realtime"]
-
-
-def test_a_run_ends_with_time_by_folder_and_names_what_is_slow_without_a_reason(tmp_path: Path) -> None:
-    (tmp_path / "room").mkdir()
-    slept = "import time, pytest\n{mark}\ndef test_it(): time.sleep(0.11)\n"
-    files = {
-        "conftest": CONFTEST + "from tests.support import time_spent\ntime_spent.SLOW_S = 0.1\n",
-        "room/test_said": slept.format(mark="@pytest.mark.slow('x')"),
-        "test_unsaid": slept.format(mark=""),
-    }
-    status, lines = run(tmp_path, **files)
-    assert status == 0, "nobody fails by the clock"
-    assert any(line.split() == ["0.1", "1", "room"] for line in lines), lines
-    unsaid = lines[next(i for i, line in enumerate(lines) if "without the mark slow" in line) + 1 :]
-    assert [line.split()[1] for line in unsaid if "::" in line] == ["test_unsaid.py::test_it"]

@@ -14,13 +14,11 @@ import numpy as np
 
 from laboratory.experiments.positioning.corrected_run import operate, prepared
 from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.lockstep import guided_rig
-from testbed.lockstep.guided_rig import GuidedRig, quiet
-from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog
+from testbed.lockstep.rig import GuidedRig, LockstepRig, quiet
 from testbed.lockstep.world import TRUTH_PERIOD_NS
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.still_rig import still_settings
 
@@ -70,7 +68,7 @@ def _servoing(_recipe: str, seed: int) -> LockstepRig:
 def _guided(_recipe: str, seed: int) -> GuidedRig:
     with tempfile.TemporaryDirectory() as directory:
         rig = GuidedRig(still_settings(seed), seed, Path(directory))
-        guided_rig.start(rig, "digest", seed)
+        rig.start(rig, "digest", seed)
         for _ in range(2):
             rig.run(rig.guided.next_pose(quiet, False))
             rig.run(rig.guided.sample(quiet))

@@ -3,28 +3,28 @@
 import hashlib
 import itertools
 import re
-from types import ModuleType
 
 import pytest
 
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.shell.coupler_connection import request_of
 from tests.support.paths import ROOT
-from tools import against_reality_page, coupler_page, programs_page, worlds_page
+from tools import against_reality_page, pages
 from tools.page_vendor import FILES, PACKAGES, Made
 from vision_pc.application.programs import PROGRAMS
 
-COUPLER = coupler_page.PAGE.read_text(encoding="utf-8")
+COUPLER = (pages.DOCS / "process_image.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("maker", [coupler_page, programs_page, worlds_page])
-def test_the_tables_are_those_of_the_code(maker: ModuleType) -> None:
-    text = maker.PAGE.read_text(encoding="utf-8")
-    assert maker.rendered(text) == text, f"run: python -m {maker.__name__}"
+@pytest.mark.parametrize("page", pages.PAGES)
+def test_the_tables_are_those_of_the_code(page: str) -> None:
+    assert pages.rendered(page) == (pages.DOCS / page).read_text(encoding="utf-8"), (
+        "run: python -m tools.pages"
+    )
 
 
 def test_every_generated_part_of_the_coupler_s_page_is_there() -> None:
-    assert set(re.findall(r"<!-- generated: ([a-z]+) -->", COUPLER)) == set(coupler_page.sections())
+    assert set(re.findall(r"<!-- generated: ([a-z]+) -->", COUPLER)) == set(pages.coupler_sections())
 
 
 def test_clauses_are_numbered_in_order_and_those_cited_exist() -> None:
@@ -40,11 +40,11 @@ def test_clauses_are_numbered_in_order_and_those_cited_exist() -> None:
 def test_the_page_s_diagnostics_are_those_served() -> None:
     asked = {sub: request_of(bytes([8, 0, sub, 0, 0])) for sub in range(256)}
     served = {sub for sub, request in asked.items() if COUPLER_MAP.exception_for(request) == 0}
-    assert served == set(coupler_page.DIAGNOSTICS)
+    assert served == set(pages.DIAGNOSTICS)
 
 
 def test_every_program_has_its_row_and_its_source() -> None:
-    text = programs_page.PAGE.read_text(encoding="utf-8")
+    text = (pages.DOCS / "calibration.md").read_text(encoding="utf-8")
     assert all(f"| `{program.name}` |" in text for program in PROGRAMS)
     inside = {program.source for program in PROGRAMS if program.source.startswith("docs/")}
     assert inside

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.datagram import decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,

@@ -6,8 +6,8 @@ from typing import Annotated
 import pytest
 import typer
 
-from testbed.scenarios.settings import MODELS
-from tools.site import commands, configuration_keys, examine, extension
+from testbed.scenarios.scenario import MODELS
+from tools.site import configuration_keys, extension
 
 ROOT = Path(__file__).parents[2]
 YAML = """
@@ -76,7 +76,7 @@ def test_a_command_is_there_with_what_its_help_says() -> None:
     def new(name: Annotated[str, typer.Argument(metavar="NAME")]) -> None:
         """Make one."""
 
-    page = commands.page(app)
+    page = configuration_keys.commands_page(app)
     assert [line for line in page.splitlines() if line.startswith("#")] == [
         "## longreach demo",
         "## longreach arm new",
@@ -118,9 +118,9 @@ def test_every_page_is_in_the_navigation() -> None:
 def test_a_site_is_examined(tmp_path: Path, body: str, wrong: str | None) -> None:
     (tmp_path / "a.html").write_text(body, encoding="utf-8")
     (tmp_path / "b.html").write_text('<p id="there">', encoding="utf-8")
-    assert [*examine.faults(tmp_path)] == ([wrong] if wrong else [])
+    assert [*extension.faults(tmp_path)] == ([wrong] if wrong else [])
 
 
 def test_a_style_that_fetches_is_found(tmp_path: Path) -> None:
     (tmp_path / "x.css").write_text('@import "https://fonts.example/f.css"; a { background: url(a.png) }')
-    assert [*examine.faults(tmp_path)] == ["x.css: fetches https://fonts.example/f.css"]
+    assert [*extension.faults(tmp_path)] == ["x.css: fetches https://fonts.example/f.css"]

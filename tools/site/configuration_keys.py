@@ -1,14 +1,66 @@
 """Every key of every configuration file: shipped value, what is allowed, what the file says of it."""
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import typer
 import yaml
 
-from testbed.scenarios.settings import MODELS
+from testbed.cli.main import app
+from testbed.scenarios.scenario import MODELS
 from tools.tables import table
+
+
+def commands_page(root: typer.Typer = app) -> str:
+    """The reference of every command that can be run, by its words, in the order of the help."""
+    found = _below(typer.main.get_command(root), "longreach", None)
+    return "\n\n".join(_command(path, command) for path, command in found)
+
+
+def _below(command: Any, path: str, parent: Any) -> Iterator[tuple[str, Any]]:
+    context = command.context_class(command, info_name=path, parent=parent)
+    if not hasattr(command, "list_commands"):
+        yield path, command
+        return
+    for name in command.list_commands(context):
+        _, found, _ = command.resolve_command(context, [name])  # loads what is loaded when it is asked for
+        if not found.hidden:
+            yield from _below(found, f"{path} {name}", context)
+
+
+def _command(path: str, command: Any) -> str:
+    context = command.context_class(command, info_name=path)
+    usage = " ".join([path, *command.collect_usage_pieces(context)])
+    rows = [_row(parameter, context) for parameter in command.get_params(context)]
+    parts = [f"## {path}", _text(command.help or ""), f"```\n{usage}\n```"]
+    if shown := [row for row in rows if row]:
+        parts.append(table("option | what", shown))
+    if command.epilog:
+        parts.append(
+            f"{_text(command.epilog.partition('Example: ')[0])}\n```\n{_example(command.epilog)}\n```"
+        )
+    return "\n\n".join(part for part in parts if part.strip())
+
+
+def _example(epilog: str) -> str:
+    return epilog.partition("Example: ")[2] or epilog
+
+
+def _row(parameter: Any, context: Any) -> tuple[str, str] | None:
+    record = parameter.get_help_record(context)
+    if record is None or parameter.name == "help":
+        return None
+    names, told = record
+    return f"`{names}`".replace("|", "\\|"), _text(told)
+
+
+def _text(text: str) -> str:
+    joined = re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()).replace("\b", "")
+    return re.sub(r"([*<|\[_])", r"\\\1", joined) if "`" not in joined else joined.replace("|", "\\|")
+
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 _LONGEST = 60  # characters of a value that is shown
@@ -86,8 +138,8 @@ def _at(schema: Schema, path: str) -> Schema:
 
 
 def _branch(root: Schema, here: Schema, name: str) -> Schema:
-    here = _resolved(root, here)
-    for branch in (here, *(_resolved(root, one) for one in (*here.get("anyOf", ()), *here.get("oneOf", ())))):
+    here = _resolve(root, here)
+    for branch in (here, *(_resolve(root, one) for one in (*here.get("anyOf", ()), *here.get("oneOf", ())))):
         if name in branch.get("properties", {}):
             found: Schema = branch["properties"][name]
             return found
@@ -97,7 +149,7 @@ def _branch(root: Schema, here: Schema, name: str) -> Schema:
     return {}
 
 
-def _resolved(root: Schema, here: Schema) -> Schema:
+def _resolve(root: Schema, here: Schema) -> Schema:
     if "$ref" not in here:
         return here
     found: Schema = root["$defs"][here["$ref"].rpartition("/")[2]]
@@ -105,7 +157,7 @@ def _resolved(root: Schema, here: Schema) -> Schema:
 
 
 def _in_words(root: Schema, found: Schema) -> str:
-    found = _resolved(root, found)
+    found = _resolve(root, found)
     if kinds := [*found.get("anyOf", ()), *found.get("oneOf", ())]:
         return " or ".join(dict.fromkeys(filter(None, (_in_words(root, kind) for kind in kinds))))
     if "const" in found or "enum" in found:
@@ -134,7 +186,7 @@ def _left_out(
     for name, found in here.get("properties", {}).items():
         path = f"{before}{name}"
         default = given.get(name, found.get("default", _NONE))
-        below = _resolved(root, found)
+        below = _resolve(root, found)
         if path in written:
             continue
         if "properties" in below:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from foundation.configuration import HostName, StrictModel, configuration_hash
-from foundation.live.settings import LiveSettings
+from foundation.live import LiveSettings
 from foundation.rest.tokens import TokenSources
 from foundation.secret_source import SecretSource
 from nominal_arm.description import NominalArm

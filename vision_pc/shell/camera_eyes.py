@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
 from foundation.event_log import EventLog
-from foundation.scheduling import take_policy
+from foundation.periods import take_policy
 from vision_pc.application.annotate import annotated, png
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.ports import Clock, FrameSource, Runtime, StateSource

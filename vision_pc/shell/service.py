@@ -12,15 +12,13 @@ from fastapi import FastAPI
 
 from foundation.event_log import EventLog
 from foundation.live.feed import open_show
-from foundation.overload import Limit, Tally
-from foundation.ports import bound_tcp
-from foundation.rest.access import configured_access
-from foundation.rest.home import Home
-from foundation.rest.server import RestServer
-from foundation.rest.thread import serve_in_thread
-from foundation.self_watch import SelfWatch
+from foundation.periods import Limit, Tally
+from foundation.rest.files import Home
+from foundation.rest.server import RestServer, serve_in_thread
+from foundation.rest.tokens import configured_access
+from foundation.secret_source import bound_tcp
+from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
-from foundation.statistics import StatisticsFile, resident_mb
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dimensions, joint_ranges
 from protocol.errors import ConfigurationError

@@ -20,7 +20,7 @@ from laboratory.experiments.hand_eye.guided_experiment import (
     word_of,
 )
 from testbed.reporting.console import table
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from vision_pc.config.choices import Method
 
 _PAPER_MM = 2.9  # Hua et al. 2024, Fig. 5: DQCR
@@ -84,21 +84,21 @@ def guided_tasks(request: CampaignRequest, settings: GuidedCampaignSettings) -> 
 
 def guided_table(done: Guided) -> list[Table]:
     """Sessions, samples needed, located targets."""
-    rows = _ended(done)
+    rows = _successful_rows(done)
     if not rows:
         return []
     targets = [_targets(rows)] if rows[0].targets else []
-    return [_sessions(rows), _needed(rows, done.settings.against_random), *targets]
+    return [_sessions(rows), _samples_needed(rows, done.settings.against_random), *targets]
 
 
 def guided_verdict(done: Guided) -> list[Check]:
     """Every session was solved with proof, and located the targets as well as the paper's best."""
-    rows, runs = _ended(done), len(done.rows)
+    rows, runs = _successful_rows(done), len(done.rows)
     checks = [Check("sessions that ended with an answer", f"{len(rows)} of {runs}", "all", len(rows) == runs)]
     return checks + (_checks(rows, done.settings.against_random) if rows else [])
 
 
-def _ended(done: Guided) -> list[GuidedRow]:
+def _successful_rows(done: Guided) -> list[GuidedRow]:
     return [row for row in done.rows if not row.failure]
 
 
@@ -124,7 +124,7 @@ def _sessions(rows: list[GuidedRow]) -> Any:
     return table("guided sessions: true error of X", columns, [*cells, ("median", *medians, "", "", "", "")])
 
 
-def _needed(rows: list[GuidedRow], against_random: bool) -> Any:
+def _samples_needed(rows: list[GuidedRow], against_random: bool) -> Any:
     """Samples needed to come under the limit and stay there, guided and random."""
     cells = []
     for kind in ("guided", "random") if against_random else ("guided",):
@@ -202,7 +202,7 @@ def _nees_band(runs: int) -> tuple[float, float]:
 
 def guided_plot(done: Guided) -> dict[str, Figure]:
     """Error of X over samples, and errors of the located targets."""
-    rows = _ended(done)
+    rows = _successful_rows(done)
     if not rows:
         return {}
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")

@@ -17,9 +17,9 @@ from plant_emulator.config.surroundings import CabinetConfig
 from plant_emulator.core.camera.cabinet import board_points, board_pose
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, MotionUnsettled, RequestRefused
-from testbed.lockstep import guided_rig
-from testbed.lockstep.guided_rig import GuidedRig, quiet
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.lockstep import rig as lockstep_rig
+from testbed.lockstep.rig import GuidedRig, quiet
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from vision_pc.application.hand_eye.sensing import ended_in_fault
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
@@ -50,23 +50,23 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     settings = load_settings(config_dir, chosen_overrides(config_dir, task["scenario"], seed, []))
     with tempfile.TemporaryDirectory() as sessions:
         rig = GuidedRig(settings, seed, Path(sessions))
-        check = guided_rig.start(rig, "guided", seed)
-        faults = guided_rig.take_all(rig, informative=True)
+        check = lockstep_rig.start(rig, "guided", seed)
+        faults = lockstep_rig.take_all(rig, informative=True)
         session = rig.guided.session
         rig.run(rig.guided.solve())
         row: dict[str, Any] = {"seed": seed, "promised_mm": 1e3 * check.promised_std[0]}
-        row |= _judged(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
+        row |= _errors_of_X(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
         row |= _localisation(rig, session, task["repetitions"], seed)
         if task["random"]:
             other = GuidedRig(settings, seed, Path(sessions))
-            guided_rig.start(other, "random", seed)
-            faults += guided_rig.take_all(other, informative=False)
+            lockstep_rig.start(other, "random", seed)
+            faults += lockstep_rig.take_all(other, informative=False)
             at_random = _curve("random", other.guided.session, rig.X_TC)
             row |= at_random | {"curves": row["curves"] | at_random["curves"]}
     return row | {"guided_refused": len(session.refused), "faults": faults + row.get("locating_faults", 0)}
 
 
-def _solved(session: Session, count: int, method: Method = Method.ROBUST) -> HandEyeResult | None:
+def _solution_of_first(session: Session, count: int, method: Method = Method.ROBUST) -> HandEyeResult | None:
     """The answer of the first ``count`` samples: the session's own (robust, with the arm), or another's."""
     first = replace(session, samples=session.samples[:count])
     try:
@@ -77,7 +77,7 @@ def _solved(session: Session, count: int, method: Method = Method.ROBUST) -> Han
         return None
 
 
-def _judged(session: Session, X_TC: Array) -> dict[str, Any]:
+def _errors_of_X(session: Session, X_TC: Array) -> dict[str, Any]:
     """Error of X over all samples, its predicted standard deviation, and how the two agree.
 
     X is the camera against the tool's true frame. What turns the reported frame against that one (the last
@@ -104,7 +104,7 @@ def _curve(kind: str, session: Session, X_TC: Array) -> dict[str, Any]:
     """The error of X after each number of samples, and how many were needed to stay under the limit."""
     errors: list[float | None] = []
     for count in range(_LEAST, len(session.samples) + 1):
-        result = _solved(session, count)
+        result = _solution_of_first(session, count)
         error = None if result is None else 1e3 * float(np.linalg.norm(result.X[:3, 3] - X_TC[:3, 3]))
         errors.append(error)
     curve = {f"{kind}_{_LEAST + k}_mm": error for k, error in enumerate(errors)}
@@ -124,7 +124,7 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
     """Errors of the three targets over ``repetitions`` poses around the starting pose."""
     if repetitions == 0:
         return {}
-    answers = {m.value: _solved(session, len(session.samples), m) for m in LOCATING}
+    answers = {m.value: _solution_of_first(session, len(session.samples), m) for m in LOCATING}
     found = {name: result.X for name, result in answers.items() if result is not None}
     rng = np.random.default_rng([seed, 3])
     start = session.around.X_BT_start
@@ -144,7 +144,7 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
             refused += 1
             if ended_in_fault(error):
                 faults += 1
-                guided_rig.recover(rig)
+                lockstep_rig.recover(rig)
             continue
         except (MeasurementFailed, MotionUnsettled):
             unseen += 1

@@ -1,12 +1,10 @@
 """`longreach experiment hua`: localisation (Fig. 5 and 6) and noise (Fig. 7) of Hua et al. 2024."""
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from laboratory.campaigns.campaign import CampaignRequest, Task
@@ -19,13 +17,6 @@ from testbed.reporting.console import Columns, listed
 from vision_pc.config.choices import Method
 
 _ENOUGH = 100  # runs: with fewer, chance decides whether a mean is inside its limits
-_HIGHLIGHTED = {
-    "tsai": "#999999",
-    "horaud": "#e69f00",
-    "daniilidis": "#56b4e9",
-    "dqcr": "#0072b2",
-    "robust": "#d55e00",
-}
 
 
 class LocalisationSettings(NamedTuple):
@@ -148,29 +139,6 @@ def _checks_by_bound(rows: Sequence[SweepRow], noise_on: NoiseOn, runs: int) -> 
     return checks
 
 
-def sweep_plot(rows: Sequence[SweepRow]) -> Figure:
-    """Fig. 7 as a picture: rotation and translation error of each method over d, with the bound."""
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    for axes, unit, value, bound in (
-        (figure.add_subplot(1, 2, 1), "rotation / deg", "rotation_deg", "bound_rotation_deg"),
-        (figure.add_subplot(1, 2, 2), "translation / mm", "translation_mm", "bound_translation_mm"),
-    ):
-        for method in dict.fromkeys(r.method for r in rows):
-            mine = [r for r in rows if r.method == method]
-            colour = _HIGHLIGHTED.get(method)
-            style: dict[str, Any] = {"color": colour or "0.75", "lw": 2.0 if colour else 0.8}
-            label = method if colour else None
-            axes.plot([r.level for r in mine], [getattr(r, value) for r in mine], label=label, **style)
-        first = [r for r in rows if r.method == rows[0].method]
-        levels = [r.level for r in first]
-        axes.plot(levels, [getattr(r, bound) for r in first], "k--", lw=1.0, label="Cramér-Rao bound")
-        axes.set(xlabel="noise level d", ylabel=f"rms error of X, {unit}", yscale="log")
-        axes.grid(alpha=0.3, which="both")
-    figure.axes[0].legend(frameon=False, fontsize=8)
-    figure.suptitle(f"Hua et al. 2024, Fig. 7: noise on {rows[0].noise_on}; grey: the other methods")
-    return figure
-
-
 NOISE = Experiment(
     name="hua-noise",
     title="Errors of X as noise grows, beside the Cramér-Rao bound.",
@@ -180,7 +148,6 @@ NOISE = Experiment(
     run=level_of,
     table=sweep_tables,
     verdict=sweep_verdict,
-    plot=lambda done: {"hua-fig7": sweep_plot(_sweep(done))},
     figures=lambda done: {"rows": _sweep(done)},
     runs=200,
     world="poses of the paper's Table 1",
@@ -196,14 +163,14 @@ def localisation_tasks(request: CampaignRequest, settings: LocalisationSettings)
     return [{"key": f"{seed}-{repetitions}-{run}", "run": run} | asked for run in range(request.runs)]
 
 
-def _localised(done: Located) -> list[LocalisationRow]:
+def _localisation_rows(done: Located) -> list[LocalisationRow]:
     demand_all(done.rows)
     return list(localisation.rows_of([localisation.entries_of(row.entries or []) for row in done.rows]))
 
 
 def localisation_verdict(done: Located) -> list[Check]:
     """The robust solver, bad samples included, locates better than the paper's best (Fig. 5, 6)."""
-    everything = {(r.method, r.samples): r for r in _localised(done) if r.task == "all"}
+    everything = {(r.method, r.samples): r for r in _localisation_rows(done) if r.task == "all"}
     robust = everything.get((Method.ROBUST.value, f"all {localisation.TAKEN}"))
     dqcr = everything[(Method.DQCR.value, f"{localisation.KEPT} kept by hand")]
     return [
@@ -232,31 +199,6 @@ def localisation_table(rows: Iterable[LocalisationRow]) -> Table:
     return listed("localisation of knob, switch and key hole", columns, (r for r in rows if r.task == "all"))
 
 
-def localisation_plot(rows: Sequence[LocalisationRow]) -> Figure:
-    """Fig. 5 and 6 as a picture: error with its interval, share within 3 mm; the paper's figures as dots."""
-    mine = [r for r in rows if r.task == "all" and r.error_mm < 12.0]
-    names = [f"{r.method}\n{r.samples}" for r in mine]
-    x = np.arange(len(mine))
-    colours = [_HIGHLIGHTED.get(r.method, "0.75") for r in mine]
-    figure = Figure(figsize=(12.0, 5.4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    errors = np.array([[r.error_mm - r.lowest_mm, r.highest_mm - r.error_mm] for r in mine]).T
-    left.bar(x, [r.error_mm for r in mine], yerr=np.maximum(errors, 0.0), color=colours, capsize=2)
-    left.plot(x, [math.nan if r.paper_mm is None else r.paper_mm for r in mine], "ko", label="paper, Fig. 5")
-    left.set_ylabel("localisation error / mm")
-    right.bar(x, [r.recognised_percent for r in mine], color=colours)
-    recognised = [
-        math.nan if r.paper_recognised_percent is None else r.paper_recognised_percent for r in mine
-    ]
-    right.plot(x, recognised, "ko", label="paper, Fig. 6")
-    right.set_ylabel("within 3 mm / %")
-    for axes in (left, right):
-        axes.set_xticks(x, names, rotation=90, fontsize=7)
-        axes.legend(frameon=False)
-        axes.grid(alpha=0.3, axis="y")
-    return figure
-
-
 LOCALISATION = Experiment(
     name="hua-localisation",
     title="Localisation of knob, switch and key hole with every method.",
@@ -264,10 +206,9 @@ LOCALISATION = Experiment(
     row=LocalisedRun,
     tasks=localisation_tasks,
     run=localisation.calibration_row,
-    table=lambda done: [localisation_table(_localised(done))],
+    table=lambda done: [localisation_table(_localisation_rows(done))],
     verdict=localisation_verdict,
-    plot=lambda done: {"hua-fig5": localisation_plot(_localised(done))},
-    figures=lambda done: {"rows": _localised(done)},
+    figures=lambda done: {"rows": _localisation_rows(done)},
     runs=50,
     world="poses of the paper's Table 1, with 5 bad samples of 17",
     eyes="none: poses with noise",

@@ -121,7 +121,7 @@ def _calibration(run: int, repetitions: int, seed: int, rig: LocalisationRig) ->
     points = _repetitions(session.scene, rig, repetitions, rng)
     entries = []
     for name, samples, X in _calibrations(session, rig):
-        errors = (None, None) if X is None else _located(points, X, session.scene.X)
+        errors = (None, None) if X is None else _localisation_errors(points, X, session.scene.X)
         entries.append(LocalisedTarget(name, samples, *errors))
     return entries
 
@@ -153,7 +153,7 @@ def simulated_session(rig: LocalisationRig, rng: np.random.Generator) -> Localis
     half = 0.5 * MARKER_M
     points = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
     P = scene.P()
-    pixels = np.stack([_projected(P[k], points) for k in range(TAKEN)])
+    pixels = np.stack([_project(P[k], points) for k in range(TAKEN)])
     pixels = pixels + rng.normal(size=pixels.shape) * rig.corner_px
     measured = np.stack([_pose_of(points, seen) for seen in pixels])
     turn = stacks.exp_so3(rng.normal(size=(TAKEN, 3)) * math.radians(rig.robot_rotation_deg))
@@ -171,7 +171,7 @@ def simulated_session(rig: LocalisationRig, rng: np.random.Generator) -> Localis
     return LocalisationSession(scene, taken, kept)
 
 
-def _projected(X_CP: Array, points: Array) -> Array:
+def _project(X_CP: Array, points: Array) -> Array:
     p = points @ X_CP[:3, :3].T + X_CP[:3, 3]
     pixels: Array = (p @ PAPER_K.T)[:, :2] / p[:, 2:]
     return pixels
@@ -192,10 +192,10 @@ def _pose_of(points: Array, pixels: Array) -> Array:
 def _calibrations(session: LocalisationSession, rig: LocalisationRig) -> list[tuple[str, str, Array | None]]:
     """X of every method on the samples kept by hand, and of the robust ones on all samples too."""
     by_hand, everything = f"{KEPT} kept by hand", f"all {TAKEN}"
-    found = [(m.value, by_hand, _solved(session.kept, m)) for m in Method]
-    found.append((Method.HORAUD.value, everything, _solved(session.taken, Method.HORAUD)))
-    found.append((Method.DQCR.value, everything, _solved(session.taken, Method.DQCR)))
-    found.append((Method.ROBUST.value, everything, _solved(session.taken, Method.ROBUST)))
+    found = [(m.value, by_hand, _solve(session.kept, m)) for m in Method]
+    found.append((Method.HORAUD.value, everything, _solve(session.taken, Method.HORAUD)))
+    found.append((Method.DQCR.value, everything, _solve(session.taken, Method.DQCR)))
+    found.append((Method.ROBUST.value, everything, _solve(session.taken, Method.ROBUST)))
     robot = bundle.RobotNoise(math.radians(rig.robot_rotation_deg), 1e-3 * rig.robot_translation_mm)
     for pairs, samples in ((session.kept, by_hand), (session.taken, everything)):
         try:
@@ -206,7 +206,7 @@ def _calibrations(session: LocalisationSession, rig: LocalisationRig) -> list[tu
     return found
 
 
-def _solved(pairs: PosePairs, method: Method) -> Array | None:
+def _solve(pairs: PosePairs, method: Method) -> Array | None:
     try:
         return methods.solve(pairs, method).X
     except MeasurementFailed:
@@ -243,7 +243,7 @@ def _repetitions(
     return found
 
 
-def _located(points: dict[str, _Points], X: Array, X_true: Array) -> tuple[Array, Array]:
+def _localisation_errors(points: dict[str, _Points], X: Array, X_true: Array) -> tuple[Array, Array]:
     """Errors (tasks, repetitions) in mm: of the whole chain, and of X alone with all else true."""
     total, bias = [], []
     for p in points.values():

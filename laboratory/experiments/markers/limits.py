@@ -15,7 +15,9 @@ from laboratory.experiments.markers.one_picture import (
     AXES,
     EMPTY,
     EMPTY_NOISE,
+    FAMILIES,
     PEERS,
+    PUPIL,
     TIME,
     TIMED,
     WORDS,
@@ -23,7 +25,6 @@ from laboratory.experiments.markers.one_picture import (
     aspect_of,
     one_picture,
 )
-from laboratory.experiments.markers.readers import FAMILIES, PUPIL
 from protocol.errors import ConfigurationError
 from testbed.reporting.console import table
 

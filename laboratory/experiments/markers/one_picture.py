@@ -1,7 +1,9 @@
 """One picture of markers as every reader reads it, judged by the true corners; what it cost."""
 
+import importlib.util
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,12 +12,85 @@ import numpy as np
 
 from foundation.configuration import load
 from laboratory.campaigns.campaign import Task
-from laboratory.experiments.markers.readers import PUPIL, REFINEMENTS, MarkerReading, Reader, readers
 from laboratory.experiments.markers.rendered_tags import MarkerAspect, TagPicture, clutter, tags
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core.perception import marker_edges, markers
+from vision_pc.core.perception.picture_markers import found_markers
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
+
+REFINEMENTS = ("none", "subpix", "contour", "apriltag")
+PUPIL = "pupil"
+FAMILIES = {
+    "DICT_APRILTAG_36h11": "tag36h11",
+    "DICT_APRILTAG_16h5": "tag16h5",
+    "DICT_APRILTAG_25h9": "tag25h9",
+}
+_ORDER = (1, 0, 3, 2)  # its corners in ours, of the same printed marker
+_CENTRE = 0.5  # px: AprilTag's pixels have their centres there, also in OpenCV's refinement of that name
+
+
+class MarkerReading(NamedTuple):
+    """A marker that a reader tells of, its corners (4, 2) px in ArUco's order, σ per coordinate if told."""
+
+    number: int
+    corners: Array
+    std_px: float = float("nan")
+
+
+Reader = Callable[[Image], list[MarkerReading]]
+
+
+def readers(dictionary: str) -> dict[str, Reader]:
+    """Ours and OpenCV's; AprilTag's where `pupil-apriltags` is installed and has such a family."""
+    made: dict[str, Reader] = {"ours": lambda image: _ours(image, dictionary)}
+    for name in REFINEMENTS:
+        made[name] = _opencv(dictionary, name)
+    if dictionary in FAMILIES and importlib.util.find_spec("pupil_apriltags"):
+        made[PUPIL] = _pupil(FAMILIES[dictionary])
+    return made
+
+
+def _ours(image: Image, dictionary: str) -> list[MarkerReading]:
+    return [MarkerReading(one.number, one.corners, one.std_px) for one in found_markers(image, dictionary)]
+
+
+def _opencv(dictionary: str, refinement: str) -> Reader:
+    """OpenCV's detector as it comes, but for its refinement."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = getattr(cv2.aruco, f"CORNER_REFINE_{refinement.upper()}")
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    detector = cv2.aruco.ArucoDetector(book, parameters)
+    centre = _CENTRE if refinement == "apriltag" else 0.0
+
+    def read(image: Image) -> list[MarkerReading]:
+        quads, ids, _ = detector.detectMarkers(image)
+        numbers = [] if ids is None else ids.ravel()
+        return [
+            MarkerReading(int(number), quad.reshape(4, 2).astype(np.float64) - centre)
+            for number, quad in zip(numbers, quads, strict=True)
+        ]
+
+    return read
+
+
+@lru_cache(
+    maxsize=4
+)  # a detector holds its family's tables, and its destructor ends the process now and then
+def _pupil(family: str) -> Reader:
+    """The AprilTag library at full resolution, one thread."""
+    from pupil_apriltags import Detector
+
+    detector = Detector(families=family, nthreads=1, quad_decimate=1.0)
+
+    def read(image: Image) -> list[MarkerReading]:
+        return [
+            MarkerReading(int(one.tag_id), np.asarray(one.corners)[list(_ORDER)] - _CENTRE)
+            for one in detector.detect(image)
+        ]
+
+    return read
+
 
 AXES: dict[str, tuple[float, ...]] = {
     "side": (8, 10, 12, 14, 16, 18, 20, 25, 30, 40, 60),
@@ -102,7 +177,7 @@ def one_picture(config_dir: Path, task: Task) -> LimitRow:
     else:
         picture = tags(task["family"], aspect_of(axis, value), rng, *((TIMED,) if axis == TIME else ()))
     rounds = _ROUNDS if axis == TIME else 1
-    told = {name: _timed(read, picture.image, rounds) for name, read in readers(task["family"]).items()}
+    told = {name: _read_timed(read, picture.image, rounds) for name, read in readers(task["family"]).items()}
     ours = told["ours"][0]
     seen = {name: judged(found, ours, picture)._replace(ms=ms) for name, (found, ms) in told.items()}
     row = LimitRow(
@@ -159,7 +234,7 @@ def _nees(ours: Sequence[MarkerReading], picture: TagPicture) -> float:
     return float(sum(right[one.number] / one.std_px**2 for one in ours if one.number in right))
 
 
-def _timed(read: Reader, image: Image, rounds: int) -> tuple[list[MarkerReading], float]:
+def _read_timed(read: Reader, image: Image, rounds: int) -> tuple[list[MarkerReading], float]:
     """What is read, and the least CPU time of it in ms."""
     found = read(image) if rounds > 1 else []
     spent = []
@@ -185,12 +260,14 @@ def _as_in_rigs(config_dir: Path, family: str, picture: TagPicture) -> tuple[flo
     low = np.maximum(places.min(axis=0) - settings.region_margin_px, 0).astype(int)
     high = (places.max(axis=0) + settings.region_margin_px).astype(int)
     region = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-    known = _timed(lambda image: _looked(image, settings, None), picture.image, _ROUNDS)
-    tracked = _timed(lambda image: _looked(image, settings, region), picture.image, _ROUNDS)
+    known = _read_timed(lambda image: _read_markers(image, settings, None), picture.image, _ROUNDS)
+    tracked = _read_timed(lambda image: _read_markers(image, settings, region), picture.image, _ROUNDS)
     return known[1], tracked[1]
 
 
-def _looked(image: Image, settings: MarkerSettings, region: markers.Region | None) -> list[MarkerReading]:
+def _read_markers(
+    image: Image, settings: MarkerSettings, region: markers.Region | None
+) -> list[MarkerReading]:
     rough, _ = markers.detect(image, settings, region)
     refined = {number: marker_edges.refine(image, quad, lambda at: at) for number, quad in rough.items()}
     return [MarkerReading(number, corners) for number, corners in refined.items() if corners is not None]

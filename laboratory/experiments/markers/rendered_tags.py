@@ -53,7 +53,7 @@ def tags(
         tile = np.array([WIDTH / COLUMNS, HEIGHT / LINES])
         centre = (np.array([k % COLUMNS, k // COLUMNS]) + 0.5) * tile + rng.uniform(-20.0, 20.0, 2)
         corners[int(number)] = _laid(ground, _cells(book, int(number)), centre, aspect, rng)
-    return TagPicture(_exposed(ground, aspect, rng), corners)
+    return TagPicture(_expose(ground, aspect, rng), corners)
 
 
 def clutter(aspect: MarkerAspect, rng: np.random.Generator) -> Image:
@@ -69,7 +69,7 @@ def clutter(aspect: MarkerAspect, rng: np.random.Generator) -> Image:
         at = rng.uniform((60.0, 60.0), (WIDTH - 60.0, HEIGHT - 60.0))
         seen = aspect._replace(side_px=float(rng.uniform(12, 90)), angle_deg=float(rng.uniform(0, 65)))
         _laid(ground, cells, at, seen, rng, 0.0)
-    return _exposed(ground, aspect, rng)
+    return _expose(ground, aspect, rng)
 
 
 def _ground(rng: np.random.Generator) -> Array:
@@ -100,7 +100,7 @@ def _laid(
     H = _view(centre, aspect, rng)
     count = len(cells)
     paper = 0.5 + quiet / count
-    outline = _mapped(H, paper * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+    outline = _apply_homography(H, paper * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
     reach = 4.0 * aspect.blur_px + 2.0
     x0, y0 = np.maximum(np.floor(outline.min(axis=0) - reach), 0).astype(int)
     x1, y1 = np.minimum(np.ceil(outline.max(axis=0) + reach), (WIDTH - 1, HEIGHT - 1)).astype(int)
@@ -109,15 +109,15 @@ def _laid(
     size = (y1 - y0, x1 - x0)
     back = np.asarray(np.linalg.inv(H), dtype=np.float64)
     cover, shown = (
-        _blurred(fine, aspect.blur_px)
-        for fine in _integrated(back, cells, (x0 - 0.5, y0 - 0.5), size, (paper, *light))
+        _blur(fine, aspect.blur_px)
+        for fine in _integrate_cells(back, cells, (x0 - 0.5, y0 - 0.5), size, (paper, *light))
     )
     place[:] = (1.0 - cover) * place + shown
-    return _mapped(H, np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]))
+    return _apply_homography(H, np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]))
 
 
 @kernel(nogil=True)
-def _integrated(
+def _integrate_cells(
     back: Array,
     cells: Array,
     corner: tuple[float, float],
@@ -152,7 +152,7 @@ def _integrated(
     return cover, shown
 
 
-def _blurred(halves: Array, blur_px: float) -> Array:
+def _blur(halves: Array, blur_px: float) -> Array:
     """Blurred, then integrated over whole pixels."""
     soft = cv2.GaussianBlur(halves, (0, 0), _MIDDLE * blur_px) if blur_px > 0.0 else halves
     size = (halves.shape[1] // _MIDDLE, halves.shape[0] // _MIDDLE)
@@ -169,11 +169,11 @@ def _view(centre: Array, aspect: MarkerAspect, rng: np.random.Generator) -> Arra
     return np.asarray(K @ np.column_stack([R[:, 0], R[:, 1], away]))
 
 
-def _mapped(H: Array, points: Array) -> Array:
+def _apply_homography(H: Array, points: Array) -> Array:
     homogeneous = np.column_stack([points, np.ones(len(points))]) @ H.T
     return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
 
 
-def _exposed(ground: Array, aspect: MarkerAspect, rng: np.random.Generator) -> Image:
+def _expose(ground: Array, aspect: MarkerAspect, rng: np.random.Generator) -> Image:
     noisy = ground + rng.normal(0.0, aspect.noise_grey, ground.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)

@@ -1,7 +1,7 @@
 """`longreach experiment odometry`: odometry of recordings on rendered sequences of every kind, beside
 ORB-SLAM3 on the same pictures.
 
-What is asked of every pair is the same: right within what was told, or lost by name.
+What is asked of every pair is the same: right within what was predicted, or lost by name.
 """
 
 import tempfile
@@ -17,13 +17,14 @@ from foundation.configuration import load
 from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Experiment, seeds
 from laboratory.experiments.odometry import orb_slam3
-from laboratory.experiments.odometry.judging import gross, judged
 from laboratory.experiments.odometry.open_worlds import OPEN_KINDS, open_sequence
 from laboratory.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from laboratory.experiments.odometry.sequences import KINDS, Sequence, sequence
 from laboratory.experiments.odometry.verdict import (
     MatrixRow,
     MatrixSettings,
+    gross,
+    judged,
     matrix_figures,
     matrix_table,
     matrix_verdict,
@@ -81,32 +82,32 @@ def one_row(config_dir: Path, task: Task) -> MatrixRow:
     cv2.setNumThreads(1)
     config = load(VisionConfig, config_dir / "vision.yaml")
     name = task["kind"]
-    made = _made(config_dir, task)
+    made = _sequence_of(config_dir, task)
     began = time.process_time()
-    result, refusal = _followed(config, made, name in KINDS and KINDS[name].exact)
+    result, refusal = _follow(config, made, name in KINDS and KINDS[name].exact)
     ms = 1e3 * (time.process_time() - began) / len(made.pairs)
-    told = judged(result, made.X_C0C)
+    judgement = judged(result, made.X_C0C)
     causes = " ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
     peer = _peer(config_dir, config, made) if task["peer"] and not refusal else _NO_PEER
     return MatrixRow(
         name,
         task["seed"],
         len(made.pairs),
-        told.located,
+        judgement.located,
         len(result.joints),
         refusal or causes,
         _ate_mm(result.poses, made.X_C0C),
-        1e3 * told.worst_m,
-        1e3 * told.told_m,
-        told.wrong,
-        told.gross,
-        told.nees,
+        1e3 * judgement.worst_m,
+        1e3 * judgement.predicted_m,
+        judgement.wrong,
+        judgement.gross,
+        judgement.nees,
         ms,
         *peer,
     )
 
 
-def _made(config_dir: Path, task: Task) -> Sequence:
+def _sequence_of(config_dir: Path, task: Task) -> Sequence:
     name = task["kind"]
     if name in REAL_KINDS:
         return real_sequence(name)
@@ -115,7 +116,7 @@ def _made(config_dir: Path, task: Task) -> Sequence:
     return sequence(config_dir, name, task["seed"], task["pairs"])
 
 
-def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[SequenceResult, str]:
+def _follow(config: VisionConfig, made: Sequence, exact: bool) -> tuple[SequenceResult, str]:
     """What the command `longreach odometry` makes of the pairs; or the cause for which it refuses them."""
     recorded = config.recorded_odometry
     if exact:  # so told: what `--set vision.recorded_odometry.…` does
@@ -124,7 +125,7 @@ def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequen
         recorded = recorded.model_copy(update=known)
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
-        _write(path, made.told)
+        _write(path, made.stated)
         try:
             return follow_pairs(
                 lambda: made.pairs,
@@ -135,8 +136,8 @@ def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequen
             return SequenceResult([], [], 0), error.cause
 
 
-def _write(path: Path, told: RectifiedPairSettings) -> None:
-    lines = [f"{name}: {value}\n" for name, value in told.model_dump().items() if value is not None]
+def _write(path: Path, stated: RectifiedPairSettings) -> None:
+    lines = [f"{name}: {value}\n" for name, value in stated.model_dump().items() if value is not None]
     path.write_text("".join(lines), encoding="ascii")
 
 
@@ -164,7 +165,7 @@ def _peer(config_dir: Path, config: VisionConfig, made: Sequence) -> _Peer:
         return _NO_PEER
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
-        _write(path, made.told)
+        _write(path, made.stated)
         camera: CameraCalibration = read_calibration(path, made.pairs[0])
     found = orb_slam3.follow_apart(camera, _words(config_dir), made.pairs)
     off, worst = gross([(pose.frame_id, pose.X_C0C) for pose in found.poses], made.X_C0C)

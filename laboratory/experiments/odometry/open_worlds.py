@@ -62,28 +62,28 @@ def open_sequence(name: str, seed: int, count: int) -> Sequence:
     """``count`` pairs of kind ``name``, as ``seed`` draws them."""
     kind, rng = OPEN_KINDS[name], np.random.default_rng((0x0E0, seed, crc32(name.encode())))
     world, X_WC = kind.drawn(rng, count, kind.lens)
-    told = _told(kind.lens)
+    stated = _stated_camera(kind.lens)
     off = rng.uniform(-1.0, 1.0, 2) * (DISPARITY_PX, ROWS_PX)
-    true = intrinsics.with_offset(_camera(told), float(off[0]), float(off[1]))
+    true = intrinsics.with_offset(_camera(stated), float(off[0]), float(off[1]))
     caster, pairs = RayCaster(world), []
     for k, X in enumerate(X_WC):
         grey = caster.pictures(true, X, k / kind.lens.rate_hz)
         left, right = (noisy(one, _NOISE_GREY, rng) for one in grey)
         pairs.append(StereoPair(left, right, round(k * 1e9 / kind.lens.rate_hz), k))
-    return Sequence(pairs, np.stack([se3.inverse(X_WC[0]) @ X for X in X_WC]), told)
+    return Sequence(pairs, np.stack([se3.inverse(X_WC[0]) @ X for X in X_WC]), stated)
 
 
-def _told(lens: PairLens) -> RectifiedPairSettings:
+def _stated_camera(lens: PairLens) -> RectifiedPairSettings:
     return RectifiedPairSettings(
         fx_px=lens.f_px, fy_px=lens.f_px, cx_px=lens.cx_px, cy_px=lens.cy_px,
         baseline_m=lens.baseline_m, width_px=lens.width, height_px=lens.height,
     )  # fmt: skip
 
 
-def _camera(told: RectifiedPairSettings) -> CameraCalibration:
-    eye = EyeSettings(fx_px=told.fx_px, fy_px=told.fy_px, cx_px=told.cx_px, cy_px=told.cy_px)
-    pair = PinholePair(left=eye, right=eye, baseline_m=told.baseline_m)
-    size = {"width_px": told.width_px, "height_px": told.height_px}
+def _camera(stated: RectifiedPairSettings) -> CameraCalibration:
+    eye = EyeSettings(fx_px=stated.fx_px, fy_px=stated.fy_px, cx_px=stated.cx_px, cy_px=stated.cy_px)
+    pair = PinholePair(left=eye, right=eye, baseline_m=stated.baseline_m)
+    size = {"width_px": stated.width_px, "height_px": stated.height_px}
     return intrinsics.calibration(
         CameraSettings.model_validate(size | {"stale_ms": 1e3, "frozen_frames": 0, "calibration": pair})
     )
@@ -125,7 +125,7 @@ def _road(speed_m: float = 1.1, open_land: bool = False, traffic: bool = False) 
                 there = (-1.9, _EYE_M - 0.8, 30.0 + 25.0 * k)
                 rectangles += _box(there, size, 2, 0.01, (0.0, 0.0, -10.0))
             rectangles += _box((1.3, _EYE_M - 0.8, 14.0), size, 1, 0.01, ahead)
-        return CastWorld(rectangles, textures), _driven(rng, count, speed_m)
+        return CastWorld(rectangles, textures), _road_path(rng, count, speed_m)
 
     return drawn
 
@@ -157,7 +157,7 @@ def _beside(rng: np.random.Generator, side: float, open_land: bool) -> list[Rect
     return found
 
 
-def _driven(rng: np.random.Generator, count: int, speed_m: float) -> Array:
+def _road_path(rng: np.random.Generator, count: int, speed_m: float) -> Array:
     bend = float(rng.uniform(-0.006, 0.006))
     found, X = [], se3.transform(np.eye(3), (1.0, 0.0, 0.0))
     for k in range(count):
@@ -184,7 +184,7 @@ def _room(rng: np.random.Generator, size: Vector, contrasts: tuple[float, ...], 
     return CastWorld(rectangles, _textures(rng, contrasts))
 
 
-def _turned(yaw: float, pitch: float, roll: float) -> Array:
+def _rotation(yaw: float, pitch: float, roll: float) -> Array:
     axes = ((0.0, yaw, 0.0), (pitch, 0.0, 0.0), (0.0, 0.0, roll))
     turn: Array = np.linalg.multi_dot([se3.exp_so3(axis) for axis in axes])
     return turn
@@ -201,14 +201,14 @@ def _flown(
         for t in np.arange(count) / lens.rate_hz:
             swing = np.sin(np.array([0.55, 0.8, 0.45, 0.75, 1.7, 1.3]) * t + phases)
             found.append(
-                se3.transform(_turned(*(swing[3:] * (1.4, 0.15, 0.15))), swing[:3] * (1.6, 0.5, 2.0))
+                se3.transform(_rotation(*(swing[3:] * (1.4, 0.15, 0.15))), swing[:3] * (1.6, 0.5, 2.0))
             )
         return world, np.stack(found)
 
     return drawn
 
 
-def _carried(
+def _hand_held_world(
     contrasts: tuple[float, ...],
 ) -> DrawnWorld:
     """In a hand that shakes, around in a small room and back to where it began."""
@@ -222,7 +222,7 @@ def _carried(
             shake = 0.02 * np.sin(np.array([9.0, 7.0, 8.0, 5.0]) * k / lens.rate_hz + phases)
             place = (0.8 * np.cos(u), 0.1 * np.sin(2.0 * u) + shake[0], np.sin(u))
             yaw, pitch = turn * 0.7 * np.sin(u) + shake[1], 0.1 * np.sin(2.0 * u) + shake[2]
-            found.append(se3.transform(_turned(yaw, pitch, shake[3]), place))
+            found.append(se3.transform(_rotation(yaw, pitch, shake[3]), place))
         return world, np.stack(found)
 
     return drawn
@@ -238,6 +238,6 @@ OPEN_KINDS: dict[str, OpenKind] = {
     "drone": OpenKind("a drone in a hall, 20 pairs/s", DRONE, _flown(_RICH)),
     "drone_5hz": OpenKind("the same, 5 pairs/s", DRONE._replace(rate_hz=5.0), _flown(_RICH)),
     "drone_plain": OpenKind("plain walls, 10 pairs/s", DRONE._replace(rate_hz=10.0), _flown(_PLAIN)),
-    "hand": OpenKind("in a hand, around a room", HAND, _carried(_RICH)),
-    "hand_plain": OpenKind("the same, plain walls", HAND, _carried(_PLAIN)),
+    "hand": OpenKind("in a hand, around a room", HAND, _hand_held_world(_RICH)),
+    "hand_plain": OpenKind("the same, plain walls", HAND, _hand_held_world(_PLAIN)),
 }

@@ -57,12 +57,12 @@ class RayCaster:
         table = self._plain.copy()
         table[:, :3] += at_s * self._velocities
         left, right = (
-            self._seen(eye, X_WC @ eye.X_CE, table, (camera.height, camera.width))
+            self._render_eye(eye, X_WC @ eye.X_CE, table, (camera.height, camera.width))
             for eye in (camera.left, camera.right)
         )
         return left, right
 
-    def _seen(self, eye: CameraModel, X_WE: Array, table: Array, shape: tuple[int, int]) -> Array:
+    def _render_eye(self, eye: CameraModel, X_WE: Array, table: Array, shape: tuple[int, int]) -> Array:
         grey = np.empty(shape, dtype=np.float32)
         lens = (float(eye.K[0, 0]), float(eye.K[1, 1]), float(eye.K[0, 2]), float(eye.K[1, 2]))
         _cast(grey, lens, np.ascontiguousarray(X_WE[:3]), table, self._levels, self._world.sky_grey)
@@ -78,7 +78,7 @@ def rough_texture(rng: np.random.Generator, contrast_grey: float, mean_grey: flo
     """A texture (side, side) that repeats without a seam: speckles of every size, and stones with edges."""
     grey = np.zeros((_SIZE, _SIZE))
     for size in (2, 4, 8, 16, 64):
-        speckles = _blurred(rng, size)
+        speckles = _blurred_noise(rng, size)
         grey += speckles / speckles.std()
     stones = np.zeros((_SIZE, _SIZE))
     for _ in range(250):
@@ -90,7 +90,7 @@ def rough_texture(rng: np.random.Generator, contrast_grey: float, mean_grey: flo
     return np.asarray(mean_grey + contrast_grey * (grey - grey.mean()) / grey.std())
 
 
-def _blurred(rng: np.random.Generator, size: int) -> Array:
+def _blurred_noise(rng: np.random.Generator, size: int) -> Array:
     """White noise (side, side), blurred over the seam."""
     frequency = np.fft.fftfreq(_SIZE)
     fall = np.exp(-2.0 * (np.pi * size) ** 2 * frequency**2)

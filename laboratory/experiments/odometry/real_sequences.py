@@ -78,14 +78,14 @@ def available() -> bool:
 
 def real_sequence(name: str) -> Sequence:
     """The rectified pairs of kind ``name``. Raises RequestRefused where the pictures are not."""
-    pictures, told = _rectified()
+    pictures, stated = _rectified_pairs()
     made = REAL_KINDS[name].made(list(pictures))
     pairs = [StereoPair(left, right, round(k * 1e9 / RATE_HZ), k) for k, (left, right) in enumerate(made)]
-    return Sequence(pairs, np.tile(se3.identity(), (len(pairs), 1, 1)), told)
+    return Sequence(pairs, np.tile(se3.identity(), (len(pairs), 1, 1)), stated)
 
 
 @lru_cache(maxsize=1)
-def _rectified() -> tuple[tuple[tuple[Image, Image], ...], RectifiedPairSettings]:
+def _rectified_pairs() -> tuple[tuple[tuple[Image, Image], ...], RectifiedPairSettings]:
     raw = [
         StereoPair(left, right, 0, k)
         for k, ((_, left), (_, right)) in enumerate(
@@ -106,9 +106,9 @@ def _rectified() -> tuple[tuple[tuple[Image, Image], ...], RectifiedPairSettings
     found = stereo_fit.fit(views, (width, height), LensModel.BROWN_CONRADY, "OpenCV's pairs").calibration
     rectify, camera = Rectifier(found), rectified_camera(found)
     K = camera.left.K
-    told = RectifiedPairSettings(
+    stated = RectifiedPairSettings(
         fx_px=float(K[0, 0]), fy_px=float(K[1, 1]), cx_px=float(K[0, 2]), cy_px=float(K[1, 2]),
         baseline_m=float(camera.right.X_CE[0, 3]), width_px=width, height_px=height,
     )  # fmt: skip
     done = [rectify(pair) for pair in raw]
-    return tuple((pair.left.copy(), pair.right.copy()) for pair in done), told
+    return tuple((pair.left.copy(), pair.right.copy()) for pair in done), stated

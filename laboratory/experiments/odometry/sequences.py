@@ -53,7 +53,7 @@ class Sequence(NamedTuple):
 
     pairs: list[StereoPair]
     X_C0C: Array
-    told: RectifiedPairSettings
+    stated: RectifiedPairSettings
     arm: dict[int, Array] = {}  # noqa: RUF012
 
 
@@ -163,7 +163,7 @@ def _camera(**settings: Any) -> Callable[[DrawnWay, np.random.Generator], JSON]:
     return lambda drawn, rng: {"camera": settings}
 
 
-def _swapped(pair: StereoPair) -> StereoPair:
+def _swap_eyes(pair: StereoPair) -> StereoPair:
     return pair._replace(left=pair.right, right=pair.left)
 
 
@@ -194,7 +194,7 @@ KINDS: dict[str, SequenceKind] = {
     "rows_0.3": SequenceKind("right picture 0.3 px lower", rows_px=0.3),
     "rows_3": SequenceKind("right picture 3 px lower", rows_px=3.0, refused=True),
     "rolling": SequenceKind("rolling shutter, 37 ms", _camera(shutter={"kind": "rolling", "mode_hz": 15})),
-    "swapped": SequenceKind("eyes swapped", spoil=_swapped, refused=True),
+    "swapped": SequenceKind("eyes swapped", spoil=_swap_eyes, refused=True),
     "another_size": SequenceKind("calibration of another size", another_size=True, refused=True),
 }
 _WITH_ARM = (
@@ -219,16 +219,16 @@ def sequence(config_dir: Any, name: str, seed: int, count: int) -> Sequence:
     """``count`` pairs of kind ``name``, as ``seed`` draws them."""
     kind, rng = KINDS[name], np.random.default_rng((0x0D0, seed, crc32(name.encode())))
     gone = kind.left_out
-    drawn = _drawn(kind, rng, count + gone)
+    drawn = _draw_path(kind, rng, count + gone)
     config = load(SceneConfig, config_dir / "scene.yaml", _overrides(kind, drawn, rng, seed))
     scene = Scene(config)
     camera = StereoCamera(config.camera, scene, seed)
     kept = [k for k in range(count + gone) if not count // 2 <= k < count // 2 + gone]
-    pairs = list(_rendered(kind, camera, scene, drawn, kept))
-    told = _told(kind, rng)
+    pairs = list(_render(kind, camera, scene, drawn, kept))
+    stated = _stated_camera(kind, rng)
     X_BT = _state(drawn.X_C0C, rng)
     arm = {number: X_BT[k] for number, k in enumerate(kept)} if kind.arm else {}
-    return Sequence(pairs, drawn.X_C0C[kept], told, arm)
+    return Sequence(pairs, drawn.X_C0C[kept], stated, arm)
 
 
 def _state(X_C0C: Array, rng: np.random.Generator) -> Array:
@@ -253,7 +253,7 @@ def _unit(rng: np.random.Generator) -> Array:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _drawn(kind: SequenceKind, rng: np.random.Generator, count: int) -> DrawnWay:
+def _draw_path(kind: SequenceKind, rng: np.random.Generator, count: int) -> DrawnWay:
     turn = se3.exp_so3([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
     legs = _LEGS * rng.uniform(0.7, 1.2, (3, 1)) * (1.0, rng.choice([-1.0, 1.0]), rng.choice([-1.0, 1.0]))
     swings = np.radians(_TURNS_DEG) * rng.choice([-1.0, 1.0], 3)
@@ -299,7 +299,7 @@ def _overrides(kind: SequenceKind, drawn: DrawnWay, rng: np.random.Generator, se
     }
 
 
-def _rendered(
+def _render(
     kind: SequenceKind, camera: StereoCamera, scene: Scene, drawn: DrawnWay, kept: list[int]
 ) -> Iterator[StereoPair]:
     facing = se3.transform(np.diag([1.0, -1.0, -1.0]) @ se3.exp_so3(np.radians([4.0, -6.0, 2.0])), (0, 0, 0))
@@ -316,7 +316,7 @@ def _rendered(
         yield kind.spoil(StereoPair(left, right, capture_ns, number))
 
 
-def _told(kind: SequenceKind, rng: np.random.Generator) -> RectifiedPairSettings:
+def _stated_camera(kind: SequenceKind, rng: np.random.Generator) -> RectifiedPairSettings:
     width, height = _SIZES[rng.integers(len(_SIZES))] if kind.another_size else (WIDTH, HEIGHT)
     return RectifiedPairSettings(
         fx_px=FOCAL_PX * width / WIDTH,

@@ -26,8 +26,7 @@ from testbed.reporting.console import out, table
 from testbed.reporting.plots import svg
 from testbed.reporting.report import rendered
 from testbed.reporting.run_record import KeptRun, beginning
-from testbed.scenarios.scenario import load_scenario
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_scenario, load_settings
 
 Measured = dict[str, list[Row]]
 
@@ -111,12 +110,12 @@ def paper_tasks(request: CampaignRequest, settings: PaperSettings) -> list[Task]
     ]
 
 
-def _compared(done: Paper) -> dict[str, list[Compared]]:
+def _comparisons(done: Paper) -> dict[str, list[Compared]]:
     rows = by_kind(done)
     return {name: comparison.compared(name, rows[TABLES[name].kind]) for name in done.settings.tables}
 
 
-def _concluded(done: Paper) -> dict[str, list[Conclusion]]:
+def _conclusions(done: Paper) -> dict[str, list[Conclusion]]:
     rows = by_kind(done)
     return {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in done.settings.tables}
 
@@ -126,15 +125,15 @@ def paper_tables(done: Paper) -> list[rich.Table]:
     columns = ("", "", "paper", "5 %", "median", "95 %", "ours", "σ", "5 %", "95 %", "runs", "ratio", "means")
     tables = [
         table(TABLES[name].title, columns, comparison_cells(beside))
-        for name, beside in _compared(done).items()
+        for name, beside in _comparisons(done).items()
     ]
     return [*tables, table("what it took", ("",), [[line] for line in costs(by_kind(done))])]
 
 
 def paper_verdict(done: Paper) -> list[Check]:
     """Means within a factor of the paper's, and the paper's conclusions."""
-    rows, concluded, checks = by_kind(done), _concluded(done), []
-    for name, beside in _compared(done).items():
+    rows, concluded, checks = by_kind(done), _conclusions(done), []
+    for name, beside in _comparisons(done).items():
         for c in beside:
             if c.wanted:
                 what = f"{c.table.partition(':')[0]}, {c.part}, {c.name}: mean over the paper's"
@@ -146,7 +145,7 @@ def paper_verdict(done: Paper) -> list[Check]:
 def paper_plot(done: Paper) -> Mapping[str, Figure]:
     """The paper's figures with ours; they and the tables are in one HTML file too."""
     rows = by_kind(done)
-    drawn = {name: _drawn(name, done, rows[figures.KINDS[name]]) for name in done.settings.figures}
+    drawn = {name: _draw_figure(name, done, rows[figures.KINDS[name]]) for name in done.settings.figures}
     for name in drawn:
         out.print(f"{name}: {figures.FIGURES[name]}", highlight=False)
     report = write_comparison(done, drawn)
@@ -156,7 +155,7 @@ def paper_plot(done: Paper) -> Mapping[str, Figure]:
 
 def write_comparison(done: Paper, drawn: Mapping[str, Figure]) -> Path:
     """The HTML file in the request's ``out``: tables side by side, conclusions, figures, and every run."""
-    concluded, beside = _concluded(done), _compared(done)
+    concluded, beside = _conclusions(done), _comparisons(done)
     html = rendered(
         "comparison.html.j2",
         request=done.request,
@@ -180,7 +179,7 @@ def _columns(rows: Sequence[Row]) -> list[str]:
     return [column for column in wanted if any(row.get(column) is not None for row in rows)]
 
 
-def _drawn(name: str, done: Paper, rows: list[Row]) -> Figure:
+def _draw_figure(name: str, done: Paper, rows: list[Row]) -> Figure:
     """A figure, from one measurement that is traced for it; the first seed whose measurement ends well."""
     request = done.request
     whole = next((row["seed"] for row in rows if not row["failure"]), request.seed)
@@ -238,8 +237,8 @@ PAPER = Experiment(
     plot=paper_plot,
     page=False,
     figures=lambda done: {
-        "compared": _compared(done),
-        "conclusions": _concluded(done),
+        "compared": _comparisons(done),
+        "conclusions": _conclusions(done),
         "rows": by_kind(done),
     },
     runs=20,

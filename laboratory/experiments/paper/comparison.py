@@ -193,7 +193,9 @@ def _of_line(rows: Sequence[Row]) -> list[Conclusion]:
     under = float(np.mean(first < SUB_CENTIMETRE_MM))
     both = np.isfinite(first) & np.isfinite(second)
     after = [float(np.median(errors[both])) for errors in (first, second)] if both.any() else [np.nan] * 2
-    turned = np.array([[abs(row[f"oriented_r{axis}_deg"]) for axis in "xyz"] for row in rows if _turned(row)])
+    turned = np.array(
+        [[abs(row[f"oriented_r{axis}_deg"]) for axis in "xyz"] for row in rows if _has_orientation(row)]
+    )
     near = float(np.mean((turned < _NEAR_ZERO_DEG).sum(axis=1) >= 2)) if len(turned) else float("nan")
     return [
         Conclusion(
@@ -214,7 +216,7 @@ def _of_line(rows: Sequence[Row]) -> list[Conclusion]:
     ]
 
 
-def _turned(row: Row) -> bool:
+def _has_orientation(row: Row) -> bool:
     return row.get("oriented_rx_deg") is not None
 
 

@@ -56,7 +56,7 @@ def _fig5(traced: Trace, rows: Sequence[Row]) -> Figure:
     for axis, colour in enumerate(AXIS_COLOURS):
         turn = traced["look_turn_deg"][at_rest, axis]
         over_time.plot(traced["look_s"][at_rest], turn, "o", color=colour, markersize=7, fillstyle="none")
-    _failed(over_time, traced, until)
+    _mark_failures(over_time, traced, until)
     _mark_inputs(over_time, [given])
     over_time.set(
         xlabel="time / s",
@@ -161,7 +161,7 @@ def _curves(axes: Axes, traced: Trace, name: str, until_s: float, scale: float) 
     axes.legend(ncols=3, frameon=True, loc="best")
 
 
-def _failed(axes: Axes, traced: Trace, until_s: float) -> None:
+def _mark_failures(axes: Axes, traced: Trace, until_s: float) -> None:
     """Ticks where nothing was measured: the paper draws zeros there."""
     failed = np.isnan(traced["turn_deg"][:, 0]) & (traced["time_s"] < until_s)
     axes.plot(traced["time_s"][failed], np.zeros(int(failed.sum())), "|", color="black")

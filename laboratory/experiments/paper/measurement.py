@@ -14,18 +14,14 @@ import numpy as np
 
 from foundation.configuration import merged, parse_overrides
 from laboratory.campaigns.rows import Row
-from laboratory.experiments.paper.opencv_sight import opencv_sight
-from laboratory.experiments.paper.tracing import Traced, Tracer
+from laboratory.experiments.paper.sight import Traced, Tracer, opencv_sight
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import LongreachError, MeasurementFailed
 from protocol.faults import CommandCode
-from testbed.lockstep.clock import run
-from testbed.lockstep.eyes import camera_eyes, eyes_with
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
+from testbed.lockstep.clock import RunLog, run
+from testbed.lockstep.simulated_measurements import camera_eyes, eyes_with, load_eye_model, simulated_sight
 from testbed.lockstep.world import VISION_CLOCK_NS, World
-from testbed.scenarios.scenario import load_scenario
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_scenario, load_settings
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.calibration.line_equation import line_equation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
@@ -57,14 +53,14 @@ class RememberingEyes:
         """A look of the eyes. Raises MeasurementFailed when none of them shows tool and object."""
         for _ in range(_LOOKS - 1):
             try:
-                return self._kept(await self._eyes.look(frames))
+                return self._remember(await self._eyes.look(frames))
             except MeasurementFailed as failed:
                 if failed.cause not in _UNSEEN:
                     raise
                 self.unseen += 1
-        return self._kept(await self._eyes.look(frames))
+        return self._remember(await self._eyes.look(frames))
 
-    def _kept(self, look: Look) -> Look:
+    def _remember(self, look: Look) -> Look:
         self.looks.append(look)
         return look
 

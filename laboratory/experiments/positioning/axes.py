@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from plant_emulator.config.valves import JOINT_NAMES
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 
 JSON = dict[str, Any]
 Draw = Callable[[np.random.Generator, Settings], JSON]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from laboratory.experiments.positioning.axes import JSON, axis, factor
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 
 # ---- the camera
 

@@ -73,7 +73,7 @@ def positioning_table(done: Positioned) -> list[Table]:
         tables += [_errors(arm, rows), *stops_table(title, "at", rows, BRANCHES)]
         title = f"arm {arm}, one look: probability predicted before moving"
         tables.append(reliability_table(title, predictions(rows, "look1", "before"), worst_mm(rows, "look1")))
-    return [*tables, _kept(done.rows)]
+    return [*tables, _draw_counts(done.rows)]
 
 
 def _axes(world: DrawnWorld) -> list[Table]:
@@ -82,7 +82,7 @@ def _axes(world: DrawnWorld) -> list[Table]:
     return [table("drawn beside the lab's own", ["axis", "width", "why so wide"], cells)] if cells else []
 
 
-def _kept(rows: Sequence[PositioningRow]) -> Table:
+def _draw_counts(rows: Sequence[PositioningRow]) -> Table:
     """How many of the draws were kept, and why not the others."""
     unreachable, unseen = (sum(getattr(row, name) or 0 for row in rows) for name in ("unreachable", "unseen"))
     kept = sum(row.unseen is not None for row in rows)

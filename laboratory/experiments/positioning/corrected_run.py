@@ -19,12 +19,11 @@ from laboratory.experiments.positioning.worlds import WORLDS, WorldName, stated_
 from nominal_arm.commissioned import JointPlay
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
-from testbed.lockstep.eyes import SightMaker
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
+from testbed.lockstep.simulated_measurements import SightMaker, load_eye_model, simulated_sight
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 from vision_pc.core.positioning.expected_end import ExpectedEnd, ellipse_level
 from vision_pc.core.se3 import Array
@@ -66,7 +65,7 @@ def prediction_of(end: ExpectedEnd, true_mm: Array) -> Prediction:
 
 
 class Branch(NamedTuple):
-    """One look and its drive: true error, the servo's part, what was predicted, measured, looked at, mm.
+    """One look and its drive: true error, the servo's part, what was predicted, measured, mm.
 
     ``before``: predicted before moving; ``after``: by odometry, before the last look.
     """
@@ -75,7 +74,6 @@ class Branch(NamedTuple):
     servo_mm: XYZ = UNKNOWN
     std_mm: XYZ = UNKNOWN
     measured_mm: XYZ = UNKNOWN
-    look_mm: XYZ = UNKNOWN
     worst_mm: float = math.nan
     before: Prediction = Prediction()
     after: Prediction = Prediction()
@@ -102,7 +100,6 @@ class PositioningRow(NamedTuple):
     commissioned: bool = False
     unreachable: int | None = None
     unseen: int | None = None
-    start_mm: float = math.nan
     one_shot: Branch = Branch()
     look1: Branch = Branch()
     look2: Branch = Branch()
@@ -120,7 +117,6 @@ def one_run(config_dir: Path, task: JSON) -> JSON:
     row |= {name: bool(task.get(name)) for name in ("adapting", "commissioned")}
     try:
         rig = prepared(config_dir, task)
-        row["start_mm"] = float(np.linalg.norm(true_error_mm(rig)[:2]))
     except LongreachError as error:
         return row | {"failure": f"{error.cause}: {error}"}
     one_shot = driven(copy.deepcopy(rig), {"corrections": 0})
@@ -197,7 +193,7 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
     except LongreachError as error:
         return Branch(failure=f"{error.cause}: {error}")
     error_mm = true_error_mm(rig)
-    steps, final = result.positioning.steps, result.positioning.final
+    steps = result.positioning.steps
     reference_m = steps[-1].X_BT_ref[:3, 3] if steps else np.full(3, math.nan)
     off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - reference_m)
     X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
@@ -206,7 +202,6 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
         servo_mm=xyz(X_BC[:3, :3].T @ off_mm),
         std_mm=xyz([1e3 * float(value) for value in result.expected.std_m]),
         measured_mm=xyz([1e3 * float(value) for value in result.measured_residual_m]),
-        look_mm=xyz([1e3 * float(value) for value in final.error_m]),
         worst_mm=float(np.abs(error_mm[:2]).max()),
         before=prediction_of(result.expected, error_mm),
         after=prediction_of(result.seen, error_mm),

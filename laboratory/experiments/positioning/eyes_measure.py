@@ -25,7 +25,7 @@ from protocol.errors import LongreachError, MeasurementFailed
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 
@@ -82,7 +82,7 @@ def _tracks(notes: Notes, settings: Settings, seed: int) -> JSON:
     for name, noise_px, map_px in (("exact", 0.0, 0.0), ("noise", _KNOWN_PX, 0.0), ("map", 0.0, _KNOWN_PX)):
         noise = TrackingNoise(noise_px=noise_px, map_px=map_px, points=points, lost_share=0.0)
         rng = np.random.default_rng(seed)
-        row |= _mean_squares(name, [_replayed(w, settings, noise, view, rng) for w in notes.watches])
+        row |= _mean_squares(name, [_replay_errors(w, settings, noise, view, rng) for w in notes.watches])
     return row
 
 
@@ -103,7 +103,7 @@ def _errors(watch: Followed) -> Array:
     return np.array([X_C0C[:3, 3] - (X_C0W @ X_WC)[:3, 3] for X_WC, X_C0C in held])
 
 
-def _replayed(
+def _replay_errors(
     watch: Followed, settings: Settings, noise: TrackingNoise, view: TrueView, rng: np.random.Generator
 ) -> Array:
     """The same of the model, led along the watch's true path."""
@@ -205,7 +205,7 @@ def measure_tasks(request: CampaignRequest, settings: MeasureSettings) -> list[T
     ]
 
 
-def _measured(done: Noted) -> JSON:
+def _model_parameters(done: Noted) -> JSON:
     """Condition → the model's parameters."""
     return {name: parameters([row for row in done.rows if row.condition == name]) for name in CONDITIONS}
 
@@ -214,7 +214,7 @@ def measure_table(done: Noted) -> list[Table]:
     """All parameters."""
     shown = [
         [condition, part, name, value]
-        for condition, parts in _measured(done).items()
+        for condition, parts in _model_parameters(done).items()
         for part, values in parts.items()
         for name, value in values.items()
     ]
@@ -225,7 +225,7 @@ def measure_verdict(done: Noted) -> list[Check]:
     """All conditions could be measured; their parameters are written to the file that was asked for."""
     failed = sum(bool(row.failure) for row in done.rows)
     done.settings.model_file.write_text(
-        _text(_measured(done), done.request.seed, done.request.runs), encoding="utf-8"
+        _text(_model_parameters(done), done.request.seed, done.request.runs), encoding="utf-8"
     )
     return [Check(f"measured, and written to {done.settings.model_file}", f"{failed} runs failed", "", True)]
 
@@ -239,7 +239,7 @@ EYES_MEASURE = Experiment(
     run=one_run,
     table=measure_table,
     verdict=measure_verdict,
-    figures=_measured,
+    figures=_model_parameters,
     runs=8,
     seed=1100,
     world="payload, mount, camera, object, geometry drawn from the seed; the 4 m arm",
@@ -259,6 +259,6 @@ def _text(measured: JSON, first_seed: int, runs: int) -> str:
     for condition, parts in measured.items():
         lines.append(f"{condition}:")
         for part, values in parts.items():
-            told = ", ".join(f"{name}: {value}" for name, value in values.items())
-            lines.append(f"  {part}: {{{told}}} # [M]")
+            pairs = ", ".join(f"{name}: {value}" for name, value in values.items())
+            lines.append(f"  {part}: {{{pairs}}} # [M]")
     return "\n".join(lines) + "\n"

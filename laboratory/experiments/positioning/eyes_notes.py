@@ -9,7 +9,7 @@ import numpy as np
 from plant_emulator.core.camera.exposures import Capture
 from plant_emulator.core.camera.scene import Scene
 from testbed.lockstep.camera_side import Exposure
-from testbed.lockstep.frames import PixelFrames, Sight
+from testbed.lockstep.simulated_measurements import PixelFrames, Sight
 from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from vision_pc.core.odometry import StereoOdometry

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from foundation.configuration import merged
 from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import WORLDS, WorldName
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.scenarios.scenario import nested
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings, nested
 
 JSON = dict[str, Any]
 OTHER = 1_000_000_000  # from the seed of a world to that of the one it is mixed with
@@ -58,7 +57,7 @@ def source_of(key: str) -> str:
 
 def sources_of(config_dir: Path, world: WorldName, arm: str, seed: int) -> tuple[str, ...]:
     """The sources in which one machine of a world differs from another, in their order."""
-    mine, other = (dict(_drawn(config_dir, world, arm, each)) for each in (seed, seed + OTHER))
+    mine, other = (dict(_drawn_leaves(config_dir, world, arm, each)) for each in (seed, seed + OTHER))
     found = {source_of(key) for key in {**mine, **other} if mine.get(key) != other.get(key)} | {NOISE}
     return tuple(name for name in SOURCES if name in found)
 
@@ -68,7 +67,7 @@ def mixed(config_dir: Path, world: WorldName, arm: str, seed: int, source: str) 
 
     ``source``: "A": none, "B": all of them.
     """
-    mine, other = (dict(_drawn(config_dir, world, arm, each)) for each in (seed, seed + OTHER))
+    mine, other = (dict(_drawn_leaves(config_dir, world, arm, each)) for each in (seed, seed + OTHER))
     overrides: JSON = {}
     for key in {**mine, **other}:
         same = mine.get(key) == other.get(key)  # what all machines have belongs to no source
@@ -86,7 +85,7 @@ def mixed_rig(config_dir: Path, world: WorldName, arm: str, seed: int, source: s
     return LockstepRig(settings, drawn_by, RunLog(), partial(simulated_sight, model=model, seed=drawn_by))
 
 
-def _drawn(config_dir: Path, world: WorldName, arm: str, seed: int) -> Iterator[tuple[str, Any]]:
+def _drawn_leaves(config_dir: Path, world: WorldName, arm: str, seed: int) -> Iterator[tuple[str, Any]]:
     return _leaves(draw(config_dir, seed, arm, WORLDS[world]).overrides)
 
 

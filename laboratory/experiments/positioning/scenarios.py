@@ -22,7 +22,7 @@ from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.arms import DEFAULT_ARM, arm_overrides
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core.se3 import Array, exp_so3, inverse, log_so3, transform
 
 _TRIES = 20_000
@@ -67,9 +67,9 @@ def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld, unturned: Arr
     leg_m = settings.vision.programs.local_map.leg_m
     unreachable, unseen = 0, 0
     while unreachable + unseen < _TRIES:
-        pose = _posed(rng, settings)
+        pose = _draw_pose(rng, settings)
         scene = merged(_scene(rng, pose), beside.get("scene", {}))
-        if not _reached(pose, settings.arm, _goals(pose, leg_m, unturned)):
+        if not _can_reach(pose, settings.arm, _goals(pose, leg_m, unturned)):
             unreachable += 1
         elif not _in_view(pose, usual.scene, scene):
             unseen += 1
@@ -98,7 +98,7 @@ def _stream(arm: str) -> int:
     return former.get(arm, crc32(Path(arm).name.encode()))
 
 
-def _posed(rng: np.random.Generator, settings: Settings) -> _Pose:
+def _draw_pose(rng: np.random.Generator, settings: Settings) -> _Pose:
     """Start pose around the configured one with the tool level, mount, and an object somewhere in front."""
     start = np.array(settings.plant.start_pose_deg)
     start[1] += rng.uniform(-8.0, 8.0)
@@ -190,7 +190,7 @@ def _goals(pose: _Pose, leg_m: float, unturned: Array | None) -> list[Array]:
     return [turned, back, *(transform(pose.X_WT[:3, :3], p_WT) for p_WT in tools), goal]
 
 
-def _reached(pose: _Pose, arm: NominalArm, goals: list[Array]) -> bool:
+def _can_reach(pose: _Pose, arm: NominalArm, goals: list[Array]) -> bool:
     table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
     limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
     for X in goals:

@@ -5,10 +5,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-import matplotlib
 import numpy as np
 import typer
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from laboratory.campaigns.campaign import CampaignRequest, Task
@@ -18,7 +16,6 @@ from laboratory.experiments.positioning.corrected_run import driven, operate
 from laboratory.experiments.positioning.mixed_worlds import Limited, Runs, limited, mixed_rig, sources_of
 from laboratory.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.reporting.console import out, table
-from testbed.reporting.plots import AXIS_COLOURS, STYLE
 
 _RUN_S = 10.0  # [M] processor time of one run, for what is told before
 _LEAST = 4  # samples, below which no interval is told
@@ -72,9 +69,9 @@ def sensitivity_tasks(request: CampaignRequest, settings: SensitivitySettings) -
         for seed in seeds(request)
         for source in ("A", "B", *sources)
     ]
-    told = f"{request.runs} samples of {len(sources) + 2} runs: {len(tasks)} runs, about"
+    cost = f"{request.runs} samples of {len(sources) + 2} runs: {len(tasks)} runs, about"
     hours = len(tasks) * _RUN_S / 3600.0
-    out.print(f"{told} {hours:.1f} h of one core", style="dim", highlight=False)
+    out.print(f"{cost} {hours:.1f} h of one core", style="dim", highlight=False)
     return tasks
 
 
@@ -163,32 +160,6 @@ def _rivals(names: Sequence[str], found: Limited) -> str:
     return " or ".join(names[i] for i in order[:enough])
 
 
-def sensitivity_plot(done: Varied) -> dict[str, Figure]:
-    """A bar a source: total and alone, with their intervals."""
-    names, whole, found = found_in(done)
-    return {} if found is None else {"sensitivity": _bars(names, found, f"{len(whole.A)} samples")}
-
-
-def _bars(names: Sequence[str], found: Limited, told: str) -> Figure:
-    order = np.argsort(found.indices.total)
-    places = np.arange(len(order))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(6.4, 0.8 + 0.42 * len(order)), layout="constrained")
-        axes = figure.subplots()
-        kinds = (
-            ("with all that it acts with", found.indices.total, found.total_ends, 0.2),
-            ("alone", found.indices.first, found.first_ends, -0.2),
-        )
-        for (label, values, ends, beside), colour in zip(kinds, AXIS_COLOURS, strict=False):
-            far = np.abs(ends[:, order] - values[order])
-            axes.barh(places + beside, values[order], 0.36, xerr=far, color=colour, label=label)
-        axes.set_yticks(places, [names[i] for i in order])
-        axes.set(xlabel="share of the variance of true x and y; whiskers: 95 %", title=told)
-        axes.set_xlim(min(0.0, float(found.first_ends.min())), None)
-        axes.legend(loc="lower right")
-        return figure
-
-
 def sensitivity_figures(done: Varied) -> Mapping[str, Any]:
     """The indices with their intervals."""
     names, whole, found = found_in(done)
@@ -220,7 +191,6 @@ SENSITIVITY = Experiment(
     run=one_mixed_run,
     table=sensitivity_table,
     verdict=sensitivity_verdict,
-    plot=sensitivity_plot,
     figures=sensitivity_figures,
     runs=64,
     eyes="model",

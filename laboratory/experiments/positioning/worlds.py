@@ -30,9 +30,9 @@ from nominal_arm.commissioned import (
 from nominal_arm.description import CylinderDrive, Drive
 from plant_emulator.config.actuators import LITRE_PER_MINUTE, ActuatorConfig
 from plant_emulator.config.valves import JOINT_NAMES, Valve
-from testbed.commissioning.margins import MARGINS, gain_within
+from testbed.commissioning.findings import MARGINS, gain_within
 from testbed.lockstep.simulated_measurements import EyeCondition
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 
 ARMS = ("plant", "plant_long_crane")
 

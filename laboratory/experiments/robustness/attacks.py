@@ -18,10 +18,10 @@ from laboratory.campaigns.experiment import Check, Experiment, Finished
 from laboratory.campaigns.options import Assignments
 from laboratory.experiments.robustness.strangers import ATTACKS, Listeners
 from protocol.errors import LongreachError
-from testbed.realtime.launch import Launch, prepare
-from testbed.realtime.rest_rig import JSON, RestRig
-from testbed.realtime.supervisor import supervised
+from testbed.realtime.launch import Launch, prepare, supervised
+from testbed.realtime.rest_rig import RestRig
 from testbed.reporting.console import bars, table
+from vision_pc.application.results import JSON
 
 NONE = "none"
 STOP_P99_MS = 250.0  # over HTTP, connection included, on a machine that the attacker shares
@@ -130,12 +130,12 @@ def one_trial(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
             rig.wait_healthy(_HEALTHY_S)
             rig.command("enable")
             with shown.step(task["attack"]) as bar:
-                return {"attack": task["attack"]} | _attacked(launch, rig, task["attack"], bar)
+                return {"attack": task["attack"]} | _run_attack(launch, rig, task["attack"], bar)
         finally:
             rig.close()
 
 
-def _attacked(launch: Launch, rig: RestRig, attack: str, bar: Any) -> dict[str, Any]:
+def _run_attack(launch: Launch, rig: RestRig, attack: str, bar: Any) -> dict[str, Any]:
     rig.operate("move", {"offset_base_m": [0.0, _STROKE_M, 0.0]}, bar)  # something to follow
     before = _counters(rig.state())
     context = multiprocessing.get_context("spawn")
@@ -143,7 +143,7 @@ def _attacked(launch: Launch, rig: RestRig, attack: str, bar: Any) -> dict[str, 
         running = strangers.apply_async(_run, (attack, _listeners(launch), SECONDS))
         until_s = time.monotonic() + SECONDS
         time.sleep(1.0)  # the attack is under way
-        motion = _moved(rig, bar)
+        motion = _move_outcome(rig, bar)
         waits_ms, failed = _stops(launch, until_s)
         counts = running.get(SECONDS + _PATIENCE_S)
     after = _counters(_patiently(rig.state))
@@ -159,7 +159,7 @@ def _attacked(launch: Launch, rig: RestRig, attack: str, bar: Any) -> dict[str, 
     }
 
 
-def _moved(rig: RestRig, bar: Any) -> str:
+def _move_outcome(rig: RestRig, bar: Any) -> str:
     """How a motion ended: "succeeded", or the cause."""
     try:
         rig.operate("move", {"offset_base_m": [0.0, -_STROKE_M, 0.0]}, bar)

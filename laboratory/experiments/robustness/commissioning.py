@@ -1,6 +1,5 @@
-"""Commissioning on drawn machines: what was found against what was drawn, and whether the σ told is true."""
+"""Commissioning on drawn machines: what was found against what was drawn, and whether σ is honest."""
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -20,16 +19,15 @@ from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.findings import JointFindings, joint_findings
-from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
+from testbed.commissioning.ramp_rows import Uncertain
 from testbed.commissioning.recording import JointRecording
-from testbed.commissioning.uncertain import Uncertain
+from testbed.commissioning.runs import excite_in_lockstep, with_excitation
 from testbed.commissioning.valve_fit import EdgeFindings
-from testbed.lockstep.eyes import eyes_with
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
+from testbed.lockstep.clock import RunLog
+from testbed.lockstep.simulated_measurements import eyes_with, load_eye_model, simulated_sight
 from testbed.lockstep.world import World
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 
 _STREAM = 0x636F6D6D
 _AXES = (axes.friction, axes.bending, axes.play, axes_of_sight.stamps)
@@ -52,7 +50,7 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
     overrides = draw(config_dir, seed, arm, WORLDS[WorldName.LAB]).overrides  # a wall before the camera
     usual = load_settings(config_dir, overrides)
     valves = {name: _drawn_valve(rng, kind) for name in JOINT_NAMES}
-    told = {"name": kind, "pressure_compensated": kind == "mobile"}
+    plates = {"name": kind, "pressure_compensated": kind == "mobile"}
     own = {
         "plant": {
             "valve_set": kind,
@@ -63,7 +61,7 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
             },
             "payload": {"mass_kg": rng.uniform(0.0, 10.0)},
         },
-        "controller": {"valves": told},
+        "controller": {"valves": plates},
     }
     for axis in _AXES:
         own = merged(own, axis.draw(rng, usual))
@@ -114,9 +112,9 @@ def _true_rim(edges: tuple[float, float], found: EdgeFindings) -> float:
 
 
 class CommissioningRow(NamedTuple):
-    """One joint of one machine; errors in per cent of the truth or of full spool, ``z`` over the σ told.
+    """One joint of one machine; errors in per cent of the truth or of full spool, ``z`` over σ.
 
-    ``by_outlet``: of how many senses the load ran ahead. ``play_resolved``: 1 where play was told to 20 %.
+    ``by_outlet``: of how many senses the load ran ahead. ``play_resolved``: 1 where it is reported to 20 %.
     """
 
     failure: str
@@ -125,25 +123,18 @@ class CommissioningRow(NamedTuple):
     valves: str
     joint: int
     by_outlet: int
-    raising_true: float
-    lowering_true: float
     raising_percent: float
     lowering_percent: float
     raising_z: float
     lowering_z: float
-    hysteresis_true: float
     hysteresis_error: float
     hysteresis_z: float
-    play_true_mrad: float
     play_percent: float
     play_z: float
     play_resolved: int
     delay_true_ms: float
     delay_ms: float
     delay_z: float
-    lag_ms: float
-    residual_mrad: float
-    travel_mrad: float
     arm_s: float
     cpu_s: float
 
@@ -171,19 +162,13 @@ def commission_joint(config_dir: Path, task: JSON) -> JSON:
         "valves": _SETS[seed % 2],
         "joint": joint,
         "by_outlet": int(found.raising.by_outlet) + int(found.lowering.by_outlet),
-        "raising_true": up,
-        "lowering_true": down,
         "raising_percent": 100.0 * (raising.value / up - 1.0),
         "lowering_percent": 100.0 * (lowering.value / down - 1.0),
         "raising_z": _z(raising, up),
         "lowering_z": _z(lowering, down),
-        "hysteresis_true": true.hysteresis,
         "hysteresis_error": loop.value - true.hysteresis,
         "hysteresis_z": _z(loop, true.hysteresis),
         **_play_figures(found, settings, joint),
-        "lag_ms": 1e3 * found.lag.value,
-        "residual_mrad": 1e3 * max(found.raising.residual, found.lowering.residual),
-        "travel_mrad": 1e3 * found.travel,
         "arm_s": ended.seconds,
     }
 
@@ -195,7 +180,6 @@ def _play_figures(found: JointFindings, settings: Settings, joint: int) -> JSON:
         raise MeasurementFailed("measurement.play_unseen", f"{JOINT_NAMES[joint]}: {found.unseen}")
     late_ms = settings.scene.camera.stamps.delay_ms
     return {
-        "play_true_mrad": 1e3 * true,
         "play_percent": 100.0 * (play.half / true - 1.0),
         "play_z": (play.half - true) / play.half_std,
         "play_resolved": int(found.resolved),
@@ -243,7 +227,7 @@ def commissioning_table(done: FoundJoints) -> list[Table]:
     lines = [(arm, kind, *_line(rows)) for arm, kind, rows in groups if rows]
     headings = (
         "arm", "valves", "joints", "deadband, median %", "worst %", "NEES", "hysteresis, median %", "NEES",
-        "play, median %", "within 20 %", "told to 20 %", "NEES", "delay, median ms", "NEES", "s a joint",
+        "play, median %", "within 20 %", "reported to 20 %", "NEES", "delay, median ms", "NEES", "s a joint",
     )  # fmt: skip
     failed = [(f"{row.failure[:100]}",) for row in done.rows if row.failure]
     shown = [table("commissioning against what was drawn", headings, lines)]
@@ -278,9 +262,9 @@ def _edges(rows: list[CommissioningRow]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _resolved_right(rows: list[CommissioningRow]) -> float:
-    """The share of plays told to 20 % (by 2 σ: 95 of 100) that are so; 0 when none is."""
-    told = [abs(row.play_percent) <= 100.0 * PLAY_LIMIT for row in rows if row.play_resolved]
-    return float(np.mean(told)) if told else 0.0
+    """The share of plays reported to 20 % (by 2 σ: 95 of 100) that are so; 0 when none is."""
+    right = [abs(row.play_percent) <= 100.0 * PLAY_LIMIT for row in rows if row.play_resolved]
+    return float(np.mean(right)) if right else 0.0
 
 
 def _nees(z: list[float]) -> float:
@@ -288,14 +272,14 @@ def _nees(z: list[float]) -> float:
 
 
 def commissioning_verdict(done: FoundJoints) -> list[Check]:
-    """Deadbands within 5 %, play within 20 %, spreads told inside their bands, under 15 minutes."""
+    """Deadbands within 5 %, play within 20 %, reported spreads inside their bands, under 15 minutes."""
     rows = [row for row in done.rows if not row.failure]
     if not rows:
         return [at_least("joints that were found", 0.0, 1.0)]
     errors, z = _edges(rows)
     play = np.abs([row.play_percent for row in rows])
     minutes = len(JOINT_NAMES) * float(np.mean([row.arm_s for row in rows])) / 60.0
-    told = {
+    z_of = {
         "deadbands": z.tolist(),
         "hysteresis": [row.hysteresis_z for row in rows],
         "play": [row.play_z for row in rows],
@@ -305,8 +289,8 @@ def commissioning_verdict(done: FoundJoints) -> list[Check]:
         at_most("joints that failed", float(len(done.rows) - len(rows)), 0.0),
         at_least("deadbands within 5 % of the truth", float(np.mean(np.abs(errors) <= 5.0)), 1.0),
         at_least("plays within 20 % of the truth", float(np.mean(play <= 100.0 * PLAY_LIMIT)), 1.0),
-        at_least("… of those that are told to 20 %", _resolved_right(rows), 0.95),
-        *(inside(f"NEES of {name}", _nees(values), _band(len(values))) for name, values in told.items()),
+        at_least("… of those that are reported to 20 %", _resolved_right(rows), 0.95),
+        *(inside(f"NEES of {name}", _nees(values), _band(len(values))) for name, values in z_of.items()),
         at_most("arm time for six joints, mean", minutes, MINUTES_LIMIT, "min"),
     ]
 
@@ -314,23 +298,6 @@ def commissioning_verdict(done: FoundJoints) -> list[Check]:
 def _band(count: int) -> tuple[float, float]:
     """Where the mean of so many squared errors over variance lies in 95 of 100 cases, if σ is honest."""
     return float(chi2.ppf(0.025, count)) / count, float(chi2.ppf(0.975, count)) / count
-
-
-def commissioning_figures(done: FoundJoints) -> JSON:
-    """The verdict's figures."""
-    rows = [row for row in done.rows if not row.failure]
-    errors, z = _edges(rows)
-    return {
-        "joints": len(rows),
-        "failed": len(done.rows) - len(rows),
-        "deadband_percent": {"median": float(np.median(np.abs(errors))), "worst": float(np.abs(errors).max())}
-        if rows
-        else None,
-        "deadband_nees": float(np.mean(z**2)) if rows else math.nan,
-        "play_percent": [abs(row.play_percent) for row in rows],
-        "play_nees": _nees([row.play_z for row in rows]) if rows else math.nan,
-        "delay_nees": _nees([row.delay_z for row in rows]) if rows else math.nan,
-    }
 
 
 COMMISSIONING = Experiment(
@@ -342,7 +309,6 @@ COMMISSIONING = Experiment(
     run=commission_joint,
     table=commissioning_table,
     verdict=commissioning_verdict,
-    figures=commissioning_figures,
     runs=50,
     seed=41_001,
     world="the drawn machines of commissioning",

@@ -35,9 +35,8 @@ from protocol.process_image import (
     decode_sensors,
 )
 from testbed.realtime.child import Service
-from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
+from testbed.realtime.launch import CONTROLLER, PLANT, Launch, Supervisor, prepare, supervised
 from testbed.realtime.live_client import LiveClient
-from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import bars, table
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows
@@ -61,21 +60,6 @@ class KillTrial:
     fault: str
 
 
-class Onlooker:
-    """A second master that only reads."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._master = Master(host, port, 1, outputs=False)
-
-    def status(self) -> int:
-        """The plant's status bits."""
-        return decode_sensors(self._master.words(INPUT_ADDRESS, INPUT_WORDS)).status
-
-    def close(self) -> None:
-        """Hang up."""
-        self._master.hang_up()
-
-
 class KillRig:
     """A plant that stays up, and controllers that come and go."""
 
@@ -84,8 +68,12 @@ class KillRig:
         services = {service.name: service for service in launch.services}
         self._controller: Service = services[CONTROLLER]
         modbus, link = launch.settings.plant_service.modbus, launch.settings.controller.reference_link
-        self.onlooker = Onlooker(modbus.host, modbus.port)
+        self._onlooker = Master(modbus.host, modbus.port, 1, outputs=False)  # a second one, that only reads
         self.client = LiveClient(link.host, link.port)
+
+    def status(self) -> int:
+        """The plant's status bits."""
+        return decode_sensors(self._onlooker.words(INPUT_ADDRESS, INPUT_WORDS)).status
 
     @property
     def pid(self) -> int:
@@ -119,7 +107,7 @@ class KillRig:
 
     def close(self) -> None:
         """Hang up."""
-        self.onlooker.close()
+        self._onlooker.hang_up()
         self.client.__exit__(None, None, None)
 
 
@@ -141,7 +129,7 @@ def one_trial(rig: KillRig, kind: str, rng: np.random.Generator) -> KillTrial:
     else:
         os.kill(rig.pid, signal.SIGSTOP)
     rig.client.pump(_STATUS_AFTER_S)  # vision is there all the while, and may see no loss
-    status = rig.onlooker.status()
+    status = rig.status()
     if kind == KILL:
         rig.start()
     else:

@@ -16,12 +16,11 @@ from foundation.configuration import load
 from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
 from plant_emulator.config.plant import PlantConfig
-from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, held_out, record, standard, widest_overlap
 from testbed.identification.findings import excess, findings
 from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
-from testbed.identification.recording import Array
+from testbed.identification.recording import Array, Machine, check_recording
 from testbed.identification.validation import check_believable, check_noise, validate
 from testbed.reporting.console import Columns, listed
 
@@ -58,7 +57,6 @@ class IdentifiedRow(NamedTuple):
     chi2: float
     fit: float
     before: float
-    plant_runs: int
     promised: float
     white: float
     failure: str = ""
@@ -92,9 +90,9 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     data["step_ms"] = FINE_STEP_MS
     true_plant, overlap = PlantConfig.model_validate(data), widest_overlap(file)
     machine = _MACHINE._replace(valve_set=task["valve_set"])
-    told = record(true_plant, machine, standard(overlap), held_out(overlap), task["seed"])
-    found = identify(file, told, check_recording(told, machine))
-    signals = validate(found, told)
+    recording = record(true_plant, machine, standard(overlap), held_out(overlap), task["seed"])
+    found = identify(file, recording, check_recording(recording, machine))
+    signals = validate(found, recording)
     check_believable(found, signals)
     check_noise(signals)
     angles = [signal for signal in signals if signal.signal.endswith("angle")]
@@ -121,7 +119,6 @@ def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
         chi2=excess(found),
         fit=float("nan"),
         before=float("nan"),
-        plant_runs=found.runs,
         promised=found.whole.promised,
         white=float("nan"),
     )

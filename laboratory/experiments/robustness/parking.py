@@ -26,7 +26,7 @@ from laboratory.experiments.robustness.resting_machines import (
     stepped,
 )
 from protocol.reference_messages import FLAG_SETTLED
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from testbed.reporting.console import table
 
 _WAIT_S = 320.0  # for the arm to park; it is watched after that, parked or not

@@ -24,10 +24,10 @@ from protocol.errors import MeasurementFailed
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from testbed.reporting.console import table
 from testbed.scenarios.arms import arm_overrides
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 
 _STREAM = 0x72657374
 _FURTHEST_M, _NEAREST_M, _TURN_DEG = 0.3, 0.03, 8.0
@@ -86,7 +86,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
     settings = load_settings(config_dir, asked)
     settings = commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
-    return DrawnMachine(_known(settings, task["known"]), mass_kg, rng)
+    return DrawnMachine(_with_known_share(settings, task["known"]), mass_kg, rng)
 
 
 def _stream(seed: int, axis: Axis) -> np.random.Generator:
@@ -94,13 +94,13 @@ def _stream(seed: int, axis: Axis) -> np.random.Generator:
     return np.random.default_rng([seed, _STREAM, crc32(axis.name.encode())])
 
 
-def _known(settings: Settings, share: float) -> Settings:
+def _with_known_share(settings: Settings, share: float) -> Settings:
     """``settings`` with ``share`` of every deadband that they state."""
     if share == 1.0:
         return settings
     found: Commissioned | None = settings.controller.commissioned
     valves = settings.controller.valves if found is None else found.valves
-    scaled = {name: _scaled(getattr(valves, name), share) for name in JOINT_NAMES}
+    scaled = {name: _scale_deadband(getattr(valves, name), share) for name in JOINT_NAMES}
     valves = valves.model_copy(update=scaled)
     update = {"valves": valves} if found is None else {
         "commissioned": found.model_copy(update={"valves": valves})
@@ -108,7 +108,7 @@ def _known(settings: Settings, share: float) -> Settings:
     return settings._replace(controller=settings.controller.model_copy(update=update))
 
 
-def _scaled(valve: JointValve, share: float) -> JointValve:
+def _scale_deadband(valve: JointValve, share: float) -> JointValve:
     def edge(known: ValveEdge) -> ValveEdge:
         deadband = known.deadband
         spread = max(deadband.std, abs(share - 1.0) * deadband.value)  # what is off is told as such

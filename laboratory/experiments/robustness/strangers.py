@@ -115,7 +115,7 @@ def chunked_bodies_to_rest(targets: Listeners, seconds: float) -> Counts:
     return counts
 
 
-def _held(address: tuple[str, int], count: int, first: bytes, seconds: float) -> Counts:
+def _hold_connections(address: tuple[str, int], count: int, first: bytes, seconds: float) -> Counts:
     """``count`` connections that send ``first`` and then nothing, and never read."""
     counts: Counts = Counter()
     until_s = time.monotonic() + seconds
@@ -141,27 +141,27 @@ def _held(address: tuple[str, int], count: int, first: bytes, seconds: float) ->
 def half_requests_to_faults(targets: Listeners, seconds: float) -> Counts:
     """500 requests to the fault API of which only the head and half a body come."""
     head = _post(targets.faults[0], "/faults", "Content-Length: 1000")
-    return _held(targets.faults, 500, head + b'{"fault"', seconds)
+    return _hold_connections(targets.faults, 500, head + b'{"fault"', seconds)
 
 
 def half_requests_to_rest(targets: Listeners, seconds: float) -> Counts:
     """500 half-open requests to the vision PC's API."""
-    return _held(targets.rest, 500, b"POST /stop HTTP/1.1\r\nHost: 127.0.0.1\r\nX-", seconds)
+    return _hold_connections(targets.rest, 500, b"POST /stop HTTP/1.1\r\nHost: 127.0.0.1\r\nX-", seconds)
 
 
 def half_frames_to_fieldbus(targets: Listeners, seconds: float) -> Counts:
     """200 half frames to the fieldbus."""
-    return _held(targets.fieldbus, 200, _HALF_FRAME, seconds)
+    return _hold_connections(targets.fieldbus, 200, _HALF_FRAME, seconds)
 
 
 def idle_fieldbus_connections(targets: Listeners, seconds: float) -> Counts:
     """1500 connections to the fieldbus that send nothing."""
-    return _held(targets.fieldbus, 1500, b"", seconds)
+    return _hold_connections(targets.fieldbus, 1500, b"", seconds)
 
 
 def noise_to_camera(targets: Listeners, seconds: float) -> Counts:
     """300 clients of the camera stream that send 200 KB of noise between them and never read."""
-    return _held(targets.camera, 300, bytes(range(256)) * 3, seconds)
+    return _hold_connections(targets.camera, 300, bytes(range(256)) * 3, seconds)
 
 
 def followers(targets: Listeners, seconds: float) -> Counts:
@@ -169,7 +169,7 @@ def followers(targets: Listeners, seconds: float) -> Counts:
     host, port = targets.rest
     newest = _newest_operation(targets.rest)
     request = f"GET /operations/{newest}/events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode()
-    return _held(targets.rest, 1000, request, seconds)
+    return _hold_connections(targets.rest, 1000, request, seconds)
 
 
 def _newest_operation(address: tuple[str, int]) -> str:

@@ -17,11 +17,10 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import StreamedPose
-from testbed.lockstep.clock import run
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import World
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from vision_pc.core.se3 import Array, exp_so3, from_pose, to_pose
 
 
@@ -119,11 +118,6 @@ def cut_verdict(done: Cuts) -> list[Check]:
     ]
 
 
-def cut_figures(done: Cuts) -> dict[str, Any]:
-    """The limits, beside the rows."""
-    return {"first_seed": done.request.seed, "command_ms": COMMAND_MS, "flow_ms": FLOW_MS}
-
-
 STREAM_CUTS = Experiment(
     name="stream-cuts",
     title="Cut the reference stream at random moments.",
@@ -133,7 +127,6 @@ STREAM_CUTS = Experiment(
     run=one_run,
     table=cut_table,
     verdict=cut_verdict,
-    figures=cut_figures,
     runs=459,
     eyes="none",
 )
@@ -234,7 +227,7 @@ def one_cut(settings: Settings, seed: int) -> dict[str, Any]:
     """
     rng = np.random.default_rng([seed, 1])
     rate_hz, kind, cut = float(rng.choice(RATES_HZ)), str(rng.choice(KINDS)), str(rng.choice(CUTS))
-    stream = CutStream(settings, seed, rate_hz, _drawn(rng, kind))
+    stream = CutStream(settings, seed, rate_hz, _draw_motion(rng, kind))
     world = stream.world
     cut_s = float(rng.uniform(0.3, 1.6 if kind in ("point", "jitter") else 5.0))  # before a point is reached
     while stream.running_s < cut_s or _speed(world) < _MIN_SPEED_M_S:
@@ -244,13 +237,13 @@ def one_cut(settings: Settings, seed: int) -> dict[str, Any]:
         world.clock.advance()
     speed = _speed(world)
     drawn = {"rate_hz": rate_hz, "motion": kind, "cut": cut, "speed_m_s": speed}
-    seen = _watched(stream, cut)
+    seen = _watch_plant(stream, cut)
     in_time = seen["command_ms"] <= COMMAND_MS and seen["flow_ms"] <= FLOW_MS
     sound = in_time and not seen["resumed"] and seen["fault"] == FaultCode.REFERENCE_STALE.name
     return drawn | seen | {"pass": sound}
 
 
-def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
+def _watch_plant(stream: CutStream, cut: str) -> dict[str, Any]:
     """What the plant does once the references have ceased, and whether it takes notice of later ones."""
     world, reached_ns = stream.world, stream.reached_ns
     if cut == "link":
@@ -293,7 +286,7 @@ def _speed(world: World) -> float:
     return float(np.linalg.norm(way)) / (1e-9 * (newer.time_ns - older.time_ns))
 
 
-def _drawn(rng: np.random.Generator, kind: str) -> Motion:
+def _draw_motion(rng: np.random.Generator, kind: str) -> Motion:
     u = rng.normal(size=3)
     u /= np.linalg.norm(u)
     v = np.cross(u, rng.normal(size=3))

@@ -17,7 +17,7 @@ from plant_emulator.core.camera.eye import true_eyes
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.camera.wall.bores import height_of_wall
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.look import observe
@@ -84,7 +84,7 @@ def drawn_wall(config_dir: Path, seed: int, aspect: Aspect, over: Mapping[str, A
         scene["boards"] = [_BOARD | {"square_m": square_m, "position_m": [*place.tolist(), 1e-4]}]
     usual = load_settings(config_dir, {})
     scene["camera"], scene["tool_marker"] = _camera(rng, usual), _tool(rng, usual)
-    return _pictured(load_settings(config_dir, {"scene": scene}), rng, place, aspect)
+    return _render_wall(load_settings(config_dir, {"scene": scene}), rng, place, aspect)
 
 
 def _wall(rng: np.random.Generator) -> JSON:
@@ -168,7 +168,7 @@ def _tool(rng: np.random.Generator, usual: Settings) -> JSON:
     return {"print_scale_error": usual.vision.markers.print_size_std * rng.standard_normal()}
 
 
-def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect: Aspect) -> DrawnWall:
+def _render_wall(settings: Settings, rng: np.random.Generator, place: Array, aspect: Aspect) -> DrawnWall:
     config, scene = settings.scene, Scene(settings.scene)
     camera = StereoCamera(config.camera, scene, config.seed)
     turned = np.diag([1.0, -1.0, -1.0]) @ se3.exp_so3(0.1 * rng.standard_normal(3))

@@ -17,11 +17,10 @@ from laboratory.experiments.positioning.results import LIMIT_MM, quantile, share
 from laboratory.experiments.positioning.worlds import ARMS, WorldName
 from plant_emulator.core.camera.wall.bores import hole_places
 from protocol.errors import LongreachError, MeasurementFailed
-from testbed.lockstep.clock import run
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings
+from testbed.scenarios.scenario import Settings
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused
@@ -116,11 +115,11 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
     places = hole_places(settings.scene.wall)
     row = {name: task[name] for name in ("seed", "world", "arm", "holes")}
     ends: dict[int, HoleEnd] = {}
-    targets = _clicked(rig, places, task["holes"], set())
+    targets = _click_holes(rig, places, task["holes"], set())
     while targets:
         target, hole = targets.pop(0)
-        ends[hole] = _visited(rig, target, places[hole])
-        targets += _clicked(rig, places, task["holes"], {*ends, *(hole for _, hole in targets)})
+        ends[hole] = _drive_to_hole(rig, target, places[hole])
+        targets += _click_holes(rig, places, task["holes"], {*ends, *(hole for _, hole in targets)})
     if not ends:
         raise MeasurementFailed("target.no_hole", "hole-drives: no hole is seen from the start pose")
     every = [*ends.values(), *[HoleEnd(failure="target.no_hole")] * (task["holes"] - len(ends))]
@@ -151,7 +150,7 @@ def hole_scenario(config_dir: Path, task: JSON) -> Settings:
     return settings_of(config_dir, task, {"scene": scene}, wanted)
 
 
-def _clicked(rig: LockstepRig, places: Array, wanted: int, clicked: set[int]) -> list[tuple[str, int]]:
+def _click_holes(rig: LockstepRig, places: Array, wanted: int, clicked: set[int]) -> list[tuple[str, int]]:
     """Targets and which holes they are: as many as are wanted and seen, the middle one first.
 
     None of the holes that were ``clicked``: one that the tool hid is clicked from where it no longer does.
@@ -169,7 +168,7 @@ def _clicked(rig: LockstepRig, places: Array, wanted: int, clicked: set[int]) ->
     return targets
 
 
-def _visited(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:
+def _drive_to_hole(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:
     """The end of one drive."""
     began_ns = rig.world.time_ns
     try:

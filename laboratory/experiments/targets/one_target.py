@@ -127,7 +127,7 @@ def _of_click(wall: DrawnWall, kind: str) -> JSON:
         "wrong": seen.kind == "hole" or _elsewhere(seen, wall.aim),
         "measure_ms": spent,
         "seen": error,
-        "known": _known(wall.known, click, wall.aim),
+        "known": _error_with_true_camera(wall.known, click, wall.aim),
     }
 
 
@@ -153,7 +153,7 @@ def _of_hole(wall: DrawnWall) -> JSON:
         "refused": "",
         "diameter_mm": 1e3 * seen.diameter_m,
         "seen": target_error(seen, wall.aim, seen.covariance),
-        "known": _known(wall.known, Click("left", wall.pixel, "hole"), wall.aim),
+        "known": _error_with_true_camera(wall.known, Click("left", wall.pixel, "hole"), wall.aim),
     }
 
 
@@ -186,7 +186,7 @@ def _share(off: Array, covariance: Array, axes: Array) -> float:
     return float(e @ np.linalg.solve(axes.T @ covariance @ axes, e) / axes.shape[1])
 
 
-def _known(sighted: Sighted, click: Click, true: Array) -> TargetError:
+def _error_with_true_camera(sighted: Sighted, click: Click, true: Array) -> TargetError:
     """With the true camera; the covariance is that of the measurement alone."""
     try:
         seen = at_click(sighted, click)

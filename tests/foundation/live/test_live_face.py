@@ -15,15 +15,12 @@ import pytest
 from websockets.exceptions import InvalidStatus
 
 from foundation.event_log import EventLog
-from foundation.live import wire
+from foundation.live import LiveSettings, wire
 from foundation.live.face import VIEWERS_MAX, LiveFace
 from foundation.live.feed import LiveFeed, access_of
-from foundation.live.settings import LiveSettings
 from foundation.recording.mcap_file import Entries, Topic
-from foundation.recording.messages import MessageField, format_of, message_class
-from foundation.recording.recording_thread import RecordSink
-from foundation.rest.access import ANYBODY_HERE, Access
-from foundation.rest.tokens import Role
+from foundation.recording.messages import MessageField, RecordSink, format_of, message_class
+from foundation.rest.tokens import ANYBODY_HERE, Access, Role
 from tests.foundation.live.viewing import WITHIN_S, watching
 
 pytestmark = pytest.mark.realtime

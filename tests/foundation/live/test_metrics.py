@@ -6,10 +6,9 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
-from foundation.durations import DurationHistogram
-from foundation.live.metrics import Figure, Spread, exposition
+from foundation.live.wire import Figure, Spread, exposition
+from foundation.periods import DurationHistogram
 from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
-from tests.support.grafana import dashboard, metrics
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
 TABLE = (
@@ -73,12 +72,3 @@ def test_every_name_is_there_once_and_has_a_unit_of_prometheus(table: tuple[Figu
         assert re.fullmatch(r"[a-z][a-z0-9_]*", figure.name)
         assert not re.search(r"_(ms|us|ns|mb|m|bar|hz|degc|percent)(_|$)", figure.name), figure.name
         assert figure.help.endswith("."), figure.name
-
-
-def test_the_dashboard_asks_for_nothing_that_no_service_tells() -> None:
-    tables = {"controller": OF_CONTROLLER, "plant_emulator": OF_PLANT, "vision_pc": OF_VISION}
-    told = {f"longreach_{service}_{figure.name}" for service, table in tables.items() for figure in table}
-    histograms = {name for name in metrics() if name.endswith("_bucket")}  # compared with running services
-    assert metrics() - histograms <= told
-    panels = dashboard()["panels"]
-    assert len({(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in panels}) == len(panels) > 10

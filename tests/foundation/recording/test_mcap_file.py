@@ -91,16 +91,6 @@ def test_a_cut_leaves_whole_chunks(tmp_path: Path) -> None:
     assert all(times == list(range(len(times))) for times in found)
 
 
-def test_a_chunk_holds_no_more_than_its_bytes(tmp_path: Path) -> None:
-    with closing(made(tmp_path / "f.mcap")) as file:
-        for number in range(9):
-            file.add(2, bytes(100_000), number, number)
-    with (tmp_path / "f.mcap").open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    assert [index.uncompressed_size > 300_000 for index in summary.chunk_indexes] == [True] * 3
-
-
 def test_the_index_does_not_stay_in_memory(tmp_path: Path) -> None:
     """As a list of the library's it would take 0.6 kB a chunk."""
     with closing(made(tmp_path / "f.mcap")) as file:

@@ -7,7 +7,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from foundation.recording.mcap_file import Format, Topic
-from foundation.recording.recording_thread import WAITING_MAX, RecordingThread
+from foundation.recording.messages import WAITING_MAX, RecordingThread
 from tests.foundation.recording.test_mcap_file import TOPICS, kept
 from tests.plant_emulator.shell.test_recording import eventually
 

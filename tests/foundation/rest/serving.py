@@ -10,8 +10,8 @@ from typing import NamedTuple
 from fastapi import FastAPI
 
 from foundation.event_log import EventLog
-from foundation.rest.access import ANYBODY_HERE, Access
 from foundation.rest.server import RestServer
+from foundation.rest.tokens import ANYBODY_HERE, Access
 
 
 class Serving(NamedTuple):

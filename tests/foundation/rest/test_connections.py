@@ -13,10 +13,10 @@ import pytest
 from fastapi import FastAPI
 
 from foundation.rest import connections
-from foundation.rest.access import Access
 from foundation.rest.connections import MAX_OF_ONE_ADDRESS
-from foundation.rest.refusals import DATA_HEADERS
+from foundation.rest.problems import DATA_HEADERS
 from foundation.rest.server import install_problems
+from foundation.rest.tokens import Access
 from tests.foundation.rest.serving import serving
 from tests.support.log_lines import HeardLog
 

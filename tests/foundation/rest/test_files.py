@@ -1,13 +1,11 @@
 """Files of pages: served by their names, compressed, with a policy; nothing else can be had."""
 
-import gzip
 from pathlib import Path
 
 import httpx
 import pytest
 from fastapi import FastAPI
 
-from foundation.rest.docs_page import add_docs
 from foundation.rest.files import PAGE_POLICY, PageFiles, add_files
 
 
@@ -81,13 +79,3 @@ async def test_who_has_the_file_is_told_so(client: httpx.AsyncClient) -> None:
     assert (again.status_code, again.content) == (304, b"")
     other = await client.get("/page/app.js", headers={"If-None-Match": '"another"'})
     assert other.status_code == 200
-
-
-async def test_the_page_of_an_api_names_only_files_that_are_there() -> None:
-    app = FastAPI(docs_url=None, redoc_url=None)
-    add_docs(app)
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://files") as client:
-        script = await client.get("/docs/files/vendor/swagger-ui.js", headers={"Accept-Encoding": "gzip"})
-        assert script.status_code == 200
-        assert len(gzip.compress(script.content)) < 500_000
-        assert "licence" in (await client.get("/docs/files/vendor/THIRD_PARTY.md")).text

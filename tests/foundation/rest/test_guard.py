@@ -17,10 +17,10 @@ from pydantic import ValidationError
 from foundation.configuration import HostName, StrictModel
 from foundation.rest import connections
 from foundation.rest import server as rest
-from foundation.rest.access import ANYBODY_HERE, Access
 from foundation.rest.guard import AccessGuard
-from foundation.rest.refusals import SECURITY_HEADERS, RefusalLog
+from foundation.rest.problems import SECURITY_HEADERS, RefusalLog
 from foundation.rest.server import MAX_BODY_BYTES, install_problems
+from foundation.rest.tokens import ANYBODY_HERE, Access
 from tests.foundation.rest.serving import serving
 from tests.support.log_lines import HeardLog
 

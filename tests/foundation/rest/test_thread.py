@@ -11,10 +11,9 @@ import pytest
 from fastapi import FastAPI
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from foundation.rest.access import ANYBODY_HERE
-from foundation.rest.home import Home, run_endpoints_at
-from foundation.rest.server import RestServer, install_problems
-from foundation.rest.thread import serve_in_thread
+from foundation.rest.files import Home, run_endpoints_at
+from foundation.rest.server import RestServer, install_problems, serve_in_thread
+from foundation.rest.tokens import ANYBODY_HERE
 from protocol.errors import RequestRefused
 
 

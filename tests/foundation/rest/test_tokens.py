@@ -14,9 +14,8 @@ from fastapi import FastAPI
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel
-from foundation.rest.access import Access, configured_access
 from foundation.rest.server import install_problems
-from foundation.rest.tokens import Role, TokenSources, is_loopback
+from foundation.rest.tokens import Access, Role, TokenSources, configured_access, is_loopback
 from foundation.secret_source import SecretSource, write_new_secret
 from protocol.errors import ConfigurationError
 from tests.foundation.rest.serving import serving

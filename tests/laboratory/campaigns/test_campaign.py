@@ -2,27 +2,28 @@
 
 import math
 import os
-import resource
 import shutil
-import signal
 import subprocess
 import sys
 import time
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import distributed
-import numpy as np
 import pytest
 
-from laboratory.campaigns import campaign, provenance, workforce
-from laboratory.campaigns.campaign import CampaignRequest, configuration_of, evidence_of
-from laboratory.campaigns.provenance import PACKAGES, imported_sources
-from laboratory.campaigns.rows import RowFile, cell
+from laboratory.campaigns import campaign, workforce
+from laboratory.campaigns.campaign import (
+    PACKAGES,
+    CampaignRequest,
+    configuration_of,
+    evidence_of,
+    imported_sources,
+)
+from laboratory.campaigns.rows import RowFile
 from laboratory.campaigns.workforce import REACH_S
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
 
@@ -54,50 +55,6 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         os._exit(1)
     file = bytes([task["number"]])
     return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
-
-
-def faults(_task: dict[str, Any]) -> dict[str, Any]:
-    """The page faults of pictures of 2 MiB that are made and dropped, one after the other."""
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(40):
-        np.ones(1 << 21, np.uint8)
-    return {"faults": resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before}
-
-
-class Finalised:
-    """Gets Ctrl-C where Python swallows what is raised."""
-
-    def __del__(self) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
-
-
-def swallowing(task: dict[str, Any]) -> dict[str, Any]:
-    if task["number"] == 1:
-        Finalised()
-    return {}
-
-
-def held_once(place: str, task: dict[str, Any]) -> dict[str, Any]:
-    """Run number 1 says at its first time which process it is in, and waits there to be killed."""
-    told = Path(place)
-    if task["number"] == 1 and not told.exists():
-        begun = told.with_suffix(".begun")
-        begun.write_text(str(os.getpid()))
-        begun.rename(told)
-        time.sleep(600.0)
-    return {"process": os.getpid()}
-
-
-def kill_who_tells(place: Path) -> int:
-    """Kill the process that is named in ``place``, once it is there; its number."""
-    for _ in range(1200):
-        if place.exists():
-            process = int(place.read_text())
-            os.kill(process, signal.SIGKILL)
-            return process
-        time.sleep(0.1)
-    raise TimeoutError(f"{place} was not written")
 
 
 def resigning(task: dict[str, Any]) -> dict[str, Any]:
@@ -139,22 +96,6 @@ def test_a_lost_worker_and_a_bug_are_told_and_tried_again_when_resumed(tmp_path:
     assert second["failure"].startswith("campaign.worker_lost: ")
     with pytest.raises(ConfigurationError):  # so it would have been run
         run_campaign(tmp_path, measured, broken, scheduler="nonsense://x", title="broken")
-
-
-@pytest.mark.experiment  # processes that are killed and start again: minutes on a busy machine
-def test_a_worker_that_is_killed_costs_no_row(tmp_path: Path) -> None:
-    place = tmp_path / "process"
-    asked = [{"key": f"run {number}", "number": number} for number in range(5)]
-    with ThreadPoolExecutor(1) as other:
-        killed = other.submit(kill_who_tells, place)
-        rows = run_campaign(
-            tmp_path / "rows", partial(held_once, str(place)), asked, scheduler=None, title="five"
-        )
-        victim = killed.result()
-    assert [row["key"] for row in rows] == [task["key"] for task in asked]
-    assert [row["failure"] for row in rows] == [None] * 5
-    assert rows[1]["process"] != victim
-    assert len((tmp_path / "rows" / "rows.csv").read_text().splitlines()) == 6  # none twice
 
 
 def test_an_existing_scheduler_does_the_runs(tmp_path: Path) -> None:
@@ -277,7 +218,7 @@ def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
     directory = tmp_path / "rows"
 
     def campaign_now(scheduler: str | None) -> list[dict[str, Any]]:
-        provenance.sources_hash.cache_clear()  # a process reads its own sources once
+        campaign.sources_hash.cache_clear()  # a process reads its own sources once
         return run_campaign(directory, run, tasks(1), scheduler=scheduler, workers=1, title="one")
 
     assert [row["value"] for row in campaign_now(None)] == [1]
@@ -288,7 +229,7 @@ def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
 
 
 def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
-    root = Path(provenance.__file__).parents[2]
+    root = Path(campaign.__file__).parents[2]
     module = "laboratory.experiments.robustness.stream_cuts"
     found = imported_sources(module, {name: root / name for name in PACKAGES})
     loading = (
@@ -302,28 +243,9 @@ def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
 
 
 def test_every_package_that_is_shipped_counts_as_a_source() -> None:
-    project = tomllib.loads((Path(provenance.__file__).parents[2] / "pyproject.toml").read_text())
+    project = tomllib.loads((Path(campaign.__file__).parents[2] / "pyproject.toml").read_text())
     shipped = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     assert set(PACKAGES) == {*shipped, "laboratory"}
-
-
-def test_another_version_of_a_library_measures_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = evidence_of(measured)
-    monkeypatch.setattr(provenance, "library_versions", lambda: {"numpy": "0.1"})
-    assert evidence_of(measured) != before
-
-
-def test_a_worker_keeps_the_memory_of_its_pictures(tmp_path: Path) -> None:
-    (row,) = run_campaign(tmp_path, faults, tasks(1), scheduler=None, workers=1, title="one")
-    assert row["faults"] < 4_000  # 20,480 where each is given back to the system
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_ctrl_c_in_a_finaliser_ends_the_campaign_all_the_same(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        run_campaign(tmp_path, swallowing, tasks(4), scheduler=None, workers=0, title="four")
-    assert len(RowFile(tmp_path / "rows.csv").rows) == 2  # that of the run in which it came, too
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_worker_with_other_sources_or_files_makes_no_rows(
@@ -342,16 +264,6 @@ def test_fresh_measures_what_is_there(tmp_path: Path) -> None:
     assert second["run_s"] is not None
     assert len(RowFile(tmp_path / "rows.csv").rows) == 2
     assert run_campaign(tmp_path, measured, tasks(1), scheduler=MEASURES, title="one") == [second]
-
-
-def test_the_report_says_how_many_rows_were_reused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run_campaign(tmp_path, measured, tasks(2), scheduler=None, workers=0, title="some")
-    run_campaign(tmp_path, measured, tasks(3), scheduler=None, workers=0, title="some")
-    said = capsys.readouterr().out
-    assert "some: 0 rows reused, 2 measured now" in said
-    assert "some: 2 rows reused, 1 measured now" in said
 
 
 @pytest.mark.parametrize(
@@ -382,13 +294,3 @@ def test_a_line_that_was_cut_off_is_dropped_and_overwritten(tmp_path: Path) -> N
     assert [row["key"] for row in file.rows] == ["a"]
     file.append({"key": "c", "value": 3})
     assert path.read_text() == "key,value\na,1\nc,3\n"
-
-
-def test_a_long_list_fits_into_a_cell(tmp_path: Path) -> None:
-    long = [float(n) for n in range(50_000)]
-    RowFile(tmp_path / "rows.csv").append({"key": "a", "values": long})
-    assert RowFile(tmp_path / "rows.csv").rows[0]["values"] == long
-
-
-def test_what_is_not_finite_is_nothing() -> None:
-    assert cell(math.nan) == cell(math.inf) == cell(None) == ""

@@ -1,26 +1,15 @@
 """Corrected positioning's campaign: what it draws, what it counts, and that its verdict can fail."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Finished
 from laboratory.campaigns.rows import flat, typed
-from laboratory.experiments.positioning.corrected import (
-    BOTH_ARMS,
-    DrawnSettings,
-    errors_plot,
-    positioning_table,
-    positioning_tasks,
-)
 from laboratory.experiments.positioning.corrected_run import PositioningRow, prediction_of
 from laboratory.experiments.positioning.results import (
     chance_band,
     checks_of,
-    covered,
     nees,
     overconfident_failures,
     predictions,
@@ -36,7 +25,7 @@ from plant_emulator.core.camera.exposures import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.positioning.expected_end import expected_end
 
@@ -84,13 +73,6 @@ def test_an_unknown_arm_is_refused_by_name() -> None:
         draw(CONFIGS, 1, "knuckle", LAB)
 
 
-def test_both_arms_take_turns() -> None:
-    request = CampaignRequest(CONFIGS, Path("unused"), runs=4)
-    tasks = positioning_tasks(request, DrawnSettings(arm=BOTH_ARMS))
-    assert {task["arm"] for task in tasks} == set(ARMS)
-    assert len({task["key"] for task in tasks}) == 4
-
-
 def row(error: float, std: float = 1.0, **changes: Any) -> PositioningRow:
     made: dict[str, Any] = {}
     end = expected_end(np.zeros(3), (1e-3 * std) ** 2 * np.eye(3), 0.005)
@@ -130,21 +112,6 @@ def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
     assert "two looks: 95 %" not in relaxed
 
 
-def test_the_tables_tell_what_the_world_draws_and_how_many_draws_were_not_kept() -> None:
-    rows = [row(0.5, unreachable=3, unseen=1), row(0.5, unreachable=0, unseen=3)]
-    request = CampaignRequest(CONFIGS, Path("unused"), runs=2)
-    settings = DrawnSettings(WorldName.HARDER)
-    axes, *_, kept = positioning_table(Finished(request, settings, [], rows, 0))
-    assert [len(table.columns) for table in (axes, kept)] == [3, 5]
-    assert axes.row_count == len(WORLDS[WorldName.HARDER].axes)
-    assert [list(column.cells) for column in kept.columns] == [["9"], ["3"], ["4"], ["2"], ["33%"]]
-
-
-def test_the_share_inside_the_ellipse_counts_runs_that_ended() -> None:
-    rows = [row(0.5)] * 19 + [row(2.0), row(0.5, look1_before_distance2=None)]
-    assert covered(predictions(rows, "look1", "before")) == pytest.approx(0.95)
-
-
 def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
     rng = np.random.default_rng(2)
     rows = [row(float(e), std=3.0) for e in rng.normal(size=200)]
@@ -181,21 +148,3 @@ def test_the_reliability_counts_by_what_was_predicted() -> None:
         {"all": (predictions(rows, "look1", "before"), worst_mm(rows, "look1"))}, "title"
     )
     assert [len(line.get_xdata()) for line in figure.axes[0].lines] == [2, 2]  # the diagonal, and two bins
-
-
-def test_the_picture_counts_runs_that_failed() -> None:
-    rows = [row(1.0 + k) for k in range(3)]
-    figure = errors_plot({"plant": rows, "plant_long_crane": [failed("why")]}, "title")
-    ends = [[line.get_ydata()[-1] for line in axes.lines] for axes in figure.axes]
-    assert ends == [[100.0] * 3, [0.0] * 3]
-
-
-def test_what_all_drives_end_off_alike_is_not_how_differently_they_end() -> None:
-    def ended(off_mm: float) -> PositioningRow:
-        names = [f"{name}_servo_{axis}_mm" for name in ("one_shot", "look1", "look2") for axis in "xyz"]
-        return row(0.5, **dict.fromkeys(names, 0.8 + off_mm))
-
-    rows = [ended(off_mm) for off_mm in (-0.3, 0.0, 0.3)] + [failed("measurement.tool_not_seen: x")]
-    found = {check.what: check for check in checks_of(rows, LAB.demands)}
-    assert found["how differently drives end, 1 σ an axis"].found == "0.300 mm"
-    assert not any("differently" in check.what for check in checks_of(rows[:1], LAB.demands))

@@ -1,35 +1,25 @@
 """The paper's tables beside ours: numbers as printed, means and verdicts right, failures never numbers."""
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from laboratory.campaigns.campaign import CampaignRequest, Task
-from laboratory.campaigns.experiment import Finished, perform
+from laboratory.campaigns.campaign import Task
 from laboratory.experiments.paper import comparison, figures
 from laboratory.experiments.paper.campaign import (
-    PAPER,
     PaperEyes,
-    PaperPart,
     PaperSettings,
     comparison_cells,
-    costs,
     paper_task,
-    paper_tasks,
-    write_comparison,
 )
-from laboratory.experiments.paper.comparison import TABLES, compared, conclusions
+from laboratory.experiments.paper.comparison import compared, conclusions
 from laboratory.experiments.paper.measurement import RememberingEyes, bench, measured_on
-from laboratory.experiments.paper.tracing import Tracer
+from laboratory.experiments.paper.sight import Tracer
 from protocol.errors import MeasurementFailed
 from testbed.lockstep.clock import run
-from testbed.reporting.plots import png
-from testbed.reporting.run_record import beginning
 
 pytestmark = pytest.mark.slow("whole runs of a campaign")
 
@@ -115,63 +105,6 @@ def test_residuals_that_follow_the_rotation_error_reveal_it() -> None:
     assert conclusions("table3", hidden)[0].holds
     shown = [match_row(seed, 1.0 + seed, 2.0 + seed, 9.0 + seed, 1.0) for seed in range(5)]
     assert not conclusions("table3", shown)[0].holds
-
-
-def test_a_part_asks_for_the_measurements_it_is_made_of_alone() -> None:
-    request = CampaignRequest(CONFIGS, Path("unused"), runs=2)
-    every = paper_tasks(request, OPENCV)
-    assert [task["key"] for task in every] == [f"{k}-opencv-{s}" for k in ("line", "match") for s in (1, 2)]
-    one = OPENCV._replace(
-        part=[PaperPart("table3"), PaperPart("fig9")], assignments=["plant.payload.mass_kg=10"]
-    )
-    assert [task["key"] for task in paper_tasks(request, one)] == ["match-opencv-1", "match-opencv-2"]
-    assert paper_tasks(request, one)[0]["assignments"] == ["plant.payload.mass_kg=10"]
-
-
-def test_the_report_has_every_figure_verdict_and_run_and_needs_nothing_beside_it(tmp_path: Path) -> None:
-    rows = [line_row(1, 40.0, -70.0), line_row(2, -20.0, 60.0) | {"failure": "measurement.x: <lost>"}]
-    request = CampaignRequest(CONFIGS, tmp_path, runs=2)
-    settings = OPENCV._replace(part=[PaperPart("table2")])
-    done = Finished(request, settings, [{"kind": "line"}] * 2, rows, 0)
-    figure = Figure()
-    figure.subplots().plot([1.0, 2.0])
-    html = write_comparison(done, {"fig5": figure}).read_text()
-    assert TABLES["table2"].title in html
-    assert "OUTSIDE 2" in html
-    assert "measurement.x: &lt;lost&gt;" in html
-    assert html.count("<svg") == 1
-    assert "currentColor" in html, "drawn in the colours of the page, dark or light"
-    assert "prefers-color-scheme: dark" in html
-    assert beginning()["machine"]["kernel"] in html
-    assert not re.findall(r'(?:src|href)="(?:https?:)?//', html)
-    assert costs({"line": rows})[0] == "line: 2 runs, 10.0 s and 8.0 CPU s a run, 1 failed"
-
-
-def test_each_figure_is_drawn_from_a_trace(tmp_path: Path) -> None:
-    times = np.linspace(0.0, 60.0, 200)
-    around = np.column_stack([np.zeros(200), np.cos(times), np.sin(times)])
-    traced = {
-        "time_s": times, "p_BT": around, "error_m": 0.1 * around,
-        "turn_deg": np.where(times[:, None] < 1, np.nan, around),
-        "input_s": np.array([5.0, 15.0, 40.0, 50.0]), "look_s": times[::50], "look_turn_deg": around[::50],
-        "true_s": times, "true_p_WT": around,
-        "path_p_BT": around, "path_p_C0C": around, "R_BC": np.eye(3),
-        **{f"corners_{n}": around[:: 20 + n] for n in range(4)},
-    }  # fmt: skip
-    np.savez(tmp_path / "trace.npz", **traced)
-    rows = [
-        line_row(s, 5.0, 6.0) | match_row(s, 1.0, 2.0, 3.0, 1.0) | {f"start_r{a}_deg": 3.0 for a in "xyz"}
-        for s in (1, 2)
-    ]
-    for name in figures.KINDS:
-        drawn = figures.draw(name, figures.load_trace(tmp_path / "trace.npz"), rows)
-        assert png(drawn).startswith(b"\x89PNG")
-
-
-@pytest.mark.experiment
-def test_the_papers_tables_in_full(tmp_path: Path) -> None:
-    request = CampaignRequest(CONFIGS, tmp_path, runs=30, json=tmp_path / "tables.json")
-    assert perform(PAPER, request, OPENCV)
 
 
 def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:

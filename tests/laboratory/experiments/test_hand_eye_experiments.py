@@ -8,17 +8,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import NoSettings, perform
-from laboratory.campaigns.rows import RowFile
 from laboratory.experiments.hand_eye import localisation, scenes
-from laboratory.experiments.hand_eye.guided_campaign import GUIDED, GuidedCampaignSettings
-from laboratory.experiments.hand_eye.hua import LOCALISATION, NOISE, LocalisationSettings, NoiseSettings
-from laboratory.experiments.hand_eye.noise_sweep import NoiseOn, SweepRow, level_of, noise_sweep
-from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, STRESS, attempted, rows_of
+from laboratory.experiments.hand_eye.noise_sweep import noise_sweep
+from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, attempted, rows_of
 from testbed.cli.main import app
 from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
-from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.data import random_scene
 from vision_pc.config.choices import Method
 from vision_pc.core.perception.zhang_intrinsics import Checkerboard
@@ -45,32 +39,6 @@ def test_small_sweep_reaches_the_bound_and_repeats() -> None:
     assert rows["robust"].rotation_deg < 0.4 * rows["dqcr"].rotation_deg
     assert rows["robust"].rotation_over_bound < 1.6
     assert noise_sweep(runs=6, levels=[10], only=chosen) == sweep
-
-
-def test_levels_of_a_campaign_make_the_same_sweep(tmp_path: Path) -> None:
-    asked = {"noise_on": "camera-motions", "runs": 2, "seed": 1}
-    file = RowFile(tmp_path / "rows.csv")
-    levels = [file.append(level_of(asked | {"level": level})) for level in (1, 2)]
-    rows = [SweepRow(**row) for level in levels for row in level["rows"]]
-    assert rows == noise_sweep(NoiseOn.CAMERA_MOTIONS, 2, (1, 2), 1)
-
-
-@pytest.mark.parametrize("noise_on", [NoiseOn.ROBOT_POSES, NoiseOn.CAMERA_MOTIONS])
-def test_other_noise_is_told_apart(noise_on: NoiseOn) -> None:
-    sweep = noise_sweep(
-        noise_on, runs=2, levels=[5], only=[Method.DQCR, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST]
-    )
-    assert {r.noise_on for r in sweep} == {noise_on.value}
-    assert not any(r.failed for r in sweep)
-    camera = scenes.bound(scenes.table_1_scene(), scenes.noise(0.05, 0.1))
-    assert sweep[0].bound_rotation_deg != pytest.approx(camera.rotation_deg)
-
-
-def test_bounds_scale_with_the_noise() -> None:
-    scene = scenes.table_1_scene()
-    small, large = (scenes.bound(scene, scenes.noise(0.01 * d, 0.02 * d)) for d in (1, 10))
-    assert large.rotation_deg == pytest.approx(10.0 * small.rotation_deg)
-    assert large.rotation_deg == pytest.approx(0.0136, abs=5e-4)
 
 
 def test_small_localisation_favours_the_robust_solver() -> None:
@@ -157,40 +125,3 @@ def test_intrinsics_of_pictures(tmp_path: Path) -> None:
     figures = json.loads(report.read_text(encoding="utf-8"))
     assert figures["K"][0][0] == pytest.approx(300.0, rel=0.02)
     assert set(figures["view_rms_px"]) == {f"b{k}" for k in range(5)}
-
-
-def test_experiment_draws_and_writes(tmp_path: Path) -> None:
-    plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
-    options = ["--count", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
-    options += ["--out", str(tmp_path)]
-    result = CliRunner().invoke(app, ["experiment", "hua", "--method", "noise", *options])
-    assert result.exit_code == 0, result.output
-    assert cv2.imread(str(plot)) is not None
-    figures = json.loads(report.read_text(encoding="utf-8"))
-    assert figures["passed"]
-    assert len(figures["rows"]) == 2 * len(Method)
-
-
-@pytest.mark.experiment
-@pytest.mark.parametrize("noise_on", list(NoiseOn))
-def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
-    request = CampaignRequest(CONFIGS, tmp_path, runs=200)
-    assert perform(NOISE, request, NoiseSettings(noise_on))
-
-
-@pytest.mark.experiment
-def test_stress_in_full(tmp_path: Path) -> None:
-    assert perform(STRESS, CampaignRequest(CONFIGS, tmp_path, runs=1000), NoSettings())
-
-
-@pytest.mark.experiment
-def test_localisation_in_full(tmp_path: Path) -> None:
-    request = CampaignRequest(CONFIGS, tmp_path, runs=50)
-    assert perform(LOCALISATION, request, LocalisationSettings())
-
-
-@pytest.mark.experiment
-@pytest.mark.timeout(7200)
-def test_guided_sessions_in_full(tmp_path: Path) -> None:
-    request = CampaignRequest(CONFIGS, tmp_path, runs=6, seed=301)
-    assert perform(GUIDED, request, GuidedCampaignSettings())

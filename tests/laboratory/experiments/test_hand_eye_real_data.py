@@ -9,7 +9,7 @@ from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import NoSettings, perform
 from laboratory.experiments.hand_eye import real_sets
 from protocol.errors import RequestRefused
-from testbed.hand_eye.board_views import detect
+from testbed.hand_eye.picture_samples import detect
 from testbed.hand_eye.presentation import hold_out
 from tests.support.paths import CONFIGS
 from vision_pc.config.choices import Detector, Method

@@ -16,10 +16,10 @@ from laboratory.experiments.paper.campaign import PaperEyes, PaperSettings, pape
 from laboratory.experiments.paper.measurement import measure
 from laboratory.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from testbed.demonstration.sequence import Recorder, demonstrate
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.config.choices import Method
 

@@ -10,18 +10,18 @@ import pytest
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Finished
 from laboratory.experiments.markers import one_picture as one_picture_module
-from laboratory.experiments.markers import readers as readers_module
 from laboratory.experiments.markers.limits import LimitSettings, limit_tasks, limit_verdict
 from laboratory.experiments.markers.one_picture import (
     AXES,
     EMPTY,
     TIME,
     LimitRow,
+    MarkerReading,
     MarkersSeen,
     judged,
     one_picture,
+    readers,
 )
-from laboratory.experiments.markers.readers import MarkerReading, readers
 from laboratory.experiments.markers.rendered_tags import MarkerAspect, TagPicture, clutter, tags
 from protocol.errors import ConfigurationError
 
@@ -55,29 +55,12 @@ def test_light_across_an_upright_edge_tells_where_the_corners_are() -> None:
         assert abs(float(np.mean(offsets))) < 0.03
 
 
-def test_angle_and_side_are_those_asked_for() -> None:
-    picture = tags(FAMILY, MarkerAspect(30.0, 60.0), np.random.default_rng(1))
-    for quad in picture.corners.values():
-        area = cv2.contourArea(quad.astype(np.float32))
-        assert area == pytest.approx(900.0 * math.cos(math.radians(60.0)), rel=0.02)
-
-
 @pytest.mark.parametrize("name", ["ours", "none", "subpix", "contour", "apriltag"])
 def test_every_reader_reads_plain_markers_with_their_corners_in_order(name: str) -> None:
     picture = tags(FAMILY, MarkerAspect(60.0), np.random.default_rng(1))
     seen = judged(readers(FAMILY)[name](picture.image), [], picture)
     assert (seen.found, seen.false) == (18, 0)
     assert math.sqrt(seen.square / 18 / 8) < {"ours": 0.04, "apriltag": 0.2}.get(name, 0.8)
-
-
-def test_the_april_tag_library_reads_them_where_it_is_installed() -> None:
-    reader = readers(FAMILY).get(readers_module.PUPIL)
-    if reader is None:
-        pytest.skip("pupil-apriltags is not installed: make peers")
-    picture = tags(FAMILY, MarkerAspect(60.0), np.random.default_rng(1))
-    seen = judged(reader(picture.image), [], picture)
-    assert (seen.found, seen.false) == (18, 0)
-    assert math.sqrt(seen.square / 18 / 8) < 0.1
 
 
 def test_a_wrong_number_a_wrong_place_and_turned_corners_are_false() -> None:

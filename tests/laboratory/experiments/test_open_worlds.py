@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
-from laboratory.experiments.odometry import orb_slam3
-from laboratory.experiments.odometry.judging import judged
-from laboratory.experiments.odometry.open_worlds import CAR, OPEN_KINDS, open_sequence
+from laboratory.experiments.odometry.open_worlds import CAR, open_sequence
 from laboratory.experiments.odometry.ray_casting import CastWorld, RayCaster, Rectangle, rough_texture
 from laboratory.experiments.odometry.sequences import Sequence
+from laboratory.experiments.odometry.verdict import judged
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.segments import SegmentedOdometry
@@ -31,7 +30,7 @@ def road() -> Sequence:
 
 def known(made: Sequence) -> CameraCalibration:
     """What is told of the camera."""
-    told = made.told
+    told = made.stated
     K = np.array([[told.fx_px, 0.0, told.cx_px], [0.0, told.fy_px, told.cy_px], [0.0, 0.0, 1.0]])
     config = load(VisionConfig, CONFIGS / "vision.yaml")
     given = intrinsics.calibration(config.camera)
@@ -51,7 +50,7 @@ def test_a_rectangle_is_where_the_pinhole_has_it() -> None:
     """A square of 2 m, 10 m ahead, is 2 f / 10 px wide, and its right view the disparity farther left."""
     texture = np.stack([rough_texture(np.random.default_rng(1), 5.0, 60.0)])
     square = Rectangle((-1.0, -1.0, 10.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), 0, 0.01)
-    camera = known(Sequence([], np.zeros((0, 4, 4)), open_sequence("road", 8901, 1).told))
+    camera = known(Sequence([], np.zeros((0, 4, 4)), open_sequence("road", 8901, 1).stated))
     left, right = RayCaster(CastWorld([square], texture, 200.0)).pictures(camera, se3.identity())
     for grey, shift in ((left, 0.0), (right, CAR.f_px * CAR.baseline_m / 10.0)):
         rows, columns = np.nonzero(grey < 150.0)
@@ -62,26 +61,6 @@ def test_a_rectangle_is_where_the_pinhole_has_it() -> None:
             (rows.max(), CAR.cy_px + 0.1 * CAR.f_px),
         ):
             assert abs(value - wanted) <= 1.0
-
-
-def test_a_thing_that_moves_on_comes_nearer_by_its_speed() -> None:
-    texture = np.stack([rough_texture(np.random.default_rng(1), 5.0, 60.0)])
-    coming = Rectangle((-1.0, -1.0, 20.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0), 0, 0.01, (0.0, 0.0, -10.0))
-    camera = known(Sequence([], np.zeros((0, 4, 4)), open_sequence("road", 8901, 1).told))
-    caster = RayCaster(CastWorld([coming], texture, 200.0))
-    seen = [caster.pictures(camera, se3.identity(), at_s)[0] < 150.0 for at_s in (0.0, 1.0)]
-    wide = [int(one.any(axis=0).sum()) for one in seen]
-    assert wide[1] == pytest.approx(2 * wide[0], abs=2)
-
-
-@pytest.mark.parametrize("name", [name for name in OPEN_KINDS if name != "road"])
-def test_every_kind_makes_pairs_of_its_own_lens(name: str) -> None:
-    made = open_sequence(name, 8902, 2)
-    lens = OPEN_KINDS[name].lens
-    assert [pair.left.shape for pair in made.pairs] == [(lens.height, lens.width)] * 2
-    assert made.pairs[1].capture_ns == round(1e9 / lens.rate_hz)
-    assert all(pair.left.std() > 3.0 for pair in made.pairs)
-    np.testing.assert_allclose(made.X_C0C[0], np.eye(4), atol=1e-12)
 
 
 def test_on_a_road_the_disparities_offset_is_found_and_taken_out(road: Sequence) -> None:
@@ -120,19 +99,3 @@ def test_a_thing_that_fills_most_of_the_picture_is_not_the_world(road: Sequence)
     found = judged(followed(road, pairs), road.X_C0C)
     assert found.wrong == 0
     assert found.located < 0.4 * COUNT
-
-
-@pytest.mark.skipif(not orb_slam3.installed(), reason="pyorbslam3 is GPL: `make peers` installs it")
-def test_the_peer_is_told_the_camera_of_each_sequence(road: Sequence, tmp_path: Path) -> None:
-    """Its library keeps the first camera that a process tells it: a road was then 2.5 times as long."""
-    words = tmp_path / "words.txt"
-    orb_slam3.vocabulary([pair.left for pair in road.pairs[::4]], words)
-    camera = known(road)
-    far = camera.right._replace(X_CE=se3.transform(np.eye(3), (2.5 * road.told.baseline_m, 0.0, 0.0)))
-    way = []
-    for one in (camera._replace(right=far), camera):
-        poses = orb_slam3.follow_apart(one, words, road.pairs).poses
-        assert [pose.frame_id for pose in poses] == list(range(COUNT))
-        way.append(float(np.linalg.norm(poses[-1].X_C0C[:3, 3])))
-    assert way[0] == pytest.approx(2.5 * way[1], rel=0.05)
-    assert way[1] == pytest.approx(float(np.linalg.norm(road.X_C0C[-1, :3, 3])), rel=0.05)

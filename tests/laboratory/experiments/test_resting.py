@@ -32,7 +32,7 @@ from laboratory.experiments.robustness.resting_machines import (
 from protocol.faults import Reason
 from protocol.pose import Pose
 from protocol.reference_messages import FLAG_SETTLED, ReferencePose
-from testbed.lockstep.core_loop import ClosedLoop
+from testbed.lockstep.clock import ClosedLoop
 from tests.support.paths import CONFIGS
 
 TASK = {"seed": 8102, "arm": "plant", "valves": "mobile", "law": "parking", "parks": True, "known": 1.0}
@@ -147,18 +147,6 @@ def test_a_real_machine_is_drawn_without_camera_and_wall() -> None:
     assert law.oil_spring[0] > 0.0
 
 
-def test_what_is_known_of_a_deadband_is_scaled_and_its_spread_told() -> None:
-    full, part = (drawn_machine(CONFIGS, TASK | {"known": share}).settings for share in (1.0, 0.8))
-    assert full.controller.commissioned is not None
-    assert part.controller.commissioned is not None
-    for name in ("slew", "wrist3"):
-        known = getattr(full.controller.commissioned.valves, name).raising.deadband
-        less = getattr(part.controller.commissioned.valves, name).raising.deadband
-        assert less.value == pytest.approx(0.8 * known.value)
-        assert less.std == pytest.approx(0.2 * known.value)
-    assert full.plant == part.plant
-
-
 REQUEST = CampaignRequest(CONFIGS, CONFIGS, runs=4, seed=9, workers=1)
 
 
@@ -180,16 +168,3 @@ def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
     failed = Finished(REQUEST, ParkingOptions(), tasks, [rows[0]._replace(failure="fault"), *rows[1:]], 0)
     assert parking_verdict(failed)[0].met is False
     assert len(parking_table(failed)) == 2
-
-
-def test_arms_that_never_come_inside_are_not_met_and_shown() -> None:
-    (task,) = parking_tasks(REQUEST._replace(runs=1), ParkingOptions())
-    kind = MachineKind(task["arm"], task["valves"], "parking", 20.0)
-    row = ParkingRow("", task["seed"], kind, 10.0, 5.0, math.nan, 0.4, 0.2, 0.1, 3, "", 0, 60.0)
-    done = Finished(REQUEST, ParkingOptions(), [task], [row], 0)
-    assert parking_verdict(done)[1].met is False
-    assert "–" in [cell for column in parking_table(done)[0].columns for cell in column.cells]
-    informed = parking_verdict(done._replace(settings=ParkingOptions(known=80.0)))[1]
-    assert informed.met is None
-    keys = {parking_tasks(REQUEST, ParkingOptions(known=known))[0]["key"] for known in (80.0, 100.0)}
-    assert len(keys) == 2

@@ -1,7 +1,6 @@
 """The soak's account: growth, incidents and what explains them, faults, and a duty that goes on."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any, cast
 
@@ -41,16 +40,6 @@ def test_growth_is_the_slope_after_the_warm_up() -> None:
     assert found.error_mb_per_h == pytest.approx(0.0, abs=1e-9)
     assert (found.start_mb, found.end_mb) == (100.0, pytest.approx(151.98))
     assert (found.handles_from, found.handles_to) == (20.0, 20.0)
-
-
-def test_growth_of_two_samples_is_not_a_number() -> None:
-    assert math.isnan(growth([ResourceSample(0.0, 1.0, 1), ResourceSample(10.0, 2.0, 1)], 0.0).mb_per_h)
-    assert math.isnan(growth([], 0.0).start_mb)
-
-
-def test_handles_that_are_never_closed_show() -> None:
-    found = growth([ResourceSample(10.0 * k, 100.0, 10 + k) for k in range(100)], 0.0)
-    assert found.handles_to - found.handles_from == 80.0
 
 
 def test_a_fault_explains_what_happens_while_it_lasts_and_just_after(clock: list[float]) -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from laboratory.experiments.robustness.stream_cuts import COMMAND_MS, FLOW_MS, one_cut
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 
 

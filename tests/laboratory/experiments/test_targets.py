@@ -12,9 +12,8 @@ import typer
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Check, Finished
+from laboratory.campaigns.experiment import Finished
 from laboratory.campaigns.rows import typed
-from laboratory.experiments.positioning.worlds import WorldName
 from laboratory.experiments.targets import hole_drives
 from laboratory.experiments.targets.drawn_walls import Aspect, drawn_wall
 from laboratory.experiments.targets.hole_drives import (
@@ -177,21 +176,6 @@ def test_a_hole_that_was_not_reached_is_outside() -> None:
     one = typed(HoleDriveRow, cells | {"hole2_worst_mm": None, "hole2_failure": "target.hidden: x"})
     assert met([*rows, *[one] * 10])[2] is False
     assert hole_drive_table(Finished(REQUEST, settings, (), rows, 0))[0].row_count == 3
-
-
-def test_a_few_runs_and_another_world_call_no_limit_met() -> None:
-    good = typed(HoleDriveRow, {"seed": 1, "world": "lab", "holes": 1, "hole1_worst_mm": 0.4})
-    bad = good._replace(hole1=HoleEnd(worst_mm=6.0))
-
-    def first(rows: list[HoleDriveRow], world: WorldName) -> Check:
-        return hole_drive_verdict(Finished(REQUEST, HoleDriveSettings(world), (), rows, 0))[0]
-
-    assert first([good], WorldName.LAB) == Check(
-        "one look to a hole, 1 driven to: share within 5 mm", "1.000", "≥ 0.98 of 200", None
-    )
-    assert first([good, bad], WorldName.LAB).met is False
-    assert first([good] * 200, WorldName.LAB).met is True
-    assert first([good] * 200, WorldName.REAL)[2:] == ("", None)
 
 
 class PassedBy:

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from foundation.configuration import merged
-from laboratory.experiments.positioning import worlds
 from laboratory.experiments.positioning.axes import Axis
 from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, DrawnWorld, WorldName
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from testbed.scenarios.arms import arm_overrides
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.slow("whole runs of a campaign")
@@ -54,13 +53,6 @@ def test_an_axis_that_says_it_is_drawn_differs_from_seed_to_seed_and_from_the_us
     assert (leaves(first) == leaves(second)) is axis.width.endswith("not drawn")
     plain = leaves({"plant": base.plant.model_dump(mode="json"), "scene": base.scene.model_dump(mode="json")})
     assert any(plain.get(key) != value for key, value in leaves(first).items())
-
-
-def test_another_axis_beside_it_leaves_an_axis_as_it_was() -> None:
-    real = WORLDS[WorldName.REAL]
-    alone = real._replace(axes=real.axes[2:3])
-    base = usual()
-    assert leaves(worlds.drawn(alone, 5, 0, base)).items() <= leaves(worlds.drawn(real, 5, 0, base)).items()
 
 
 @pytest.mark.parametrize("name", [WorldName.REAL, WorldName.CRANE_REAL])

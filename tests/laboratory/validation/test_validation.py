@@ -8,7 +8,7 @@ from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import NoSettings, perform
 from laboratory.validation import known_answers
 from laboratory.validation.known_answers import FAMILIES, KNOWN_ANSWERS
-from laboratory.validation.oracles import oracle
+from laboratory.validation.ledger import oracle
 from laboratory.validation.plant_rig import ValidationCase
 from tests.support.paths import CONFIGS
 

@@ -20,7 +20,7 @@ from numba.core.runtime import _nrt_python, rtsys
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from laboratory.validation.oracles import mujoco_xml
+from laboratory.validation.ledger import mujoco_xml
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
 from plant_emulator.core.mechanics.elastic import start_angles

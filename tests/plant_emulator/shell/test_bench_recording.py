@@ -12,7 +12,7 @@ import pytest
 from mcap.writer import Writer
 
 from foundation.configuration import load
-from foundation.recording.recording_thread import DirectRecording
+from foundation.recording.messages import DirectRecording
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant

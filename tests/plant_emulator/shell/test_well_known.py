@@ -10,8 +10,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from foundation.configuration import load
-from foundation.recording.recording_thread import DirectRecording
-from foundation.recording.session import SESSION_VARIABLE, session_entries
+from foundation.recording.decoding import SESSION_VARIABLE, session_entries
+from foundation.recording.messages import DirectRecording
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import SupplyLost

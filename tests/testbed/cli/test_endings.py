@@ -15,8 +15,6 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
-from testbed.reporting import console
-from testbed.reporting.console import bars, time_left
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
 
@@ -154,28 +152,3 @@ def test_a_taken_port_is_named_before_anything_starts(command: tuple[str, ...], 
     assert f"held by process {os.getpid()} (" in done.stderr
     assert "--free-ports" in done.stderr
     assert not runs.exists()
-
-
-def test_the_version_is_that_of_the_package() -> None:
-    told = ended("--version")
-    assert told.exit_code == 0
-    assert told.output.startswith("longreach 0.")
-
-
-def test_what_is_left_goes_by_the_pace_so_far() -> None:
-    assert time_left(0.25, 30.0) == "1:30 left"
-    assert time_left(0.01, 400.0) == "11:00:00 left"
-    assert time_left(0.0, 100.0) == time_left(1.0, 100.0) == time_left(0.5, 0.1) == ""
-
-
-def test_a_pipe_gets_one_line_a_minute(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_s = [0.0]
-    monkeypatch.setattr(console.time, "monotonic", lambda: now_s[0])
-    with bars() as shown, shown.step("runs") as bar:
-        for second in range(1, 151):
-            now_s[0] = float(second)
-            bar.update(second / 200.0, f"run {second}")
-    lines = capsys.readouterr().err.splitlines()
-    assert lines == ["runs: 30 %, 2:20 left, run 60", "runs: 60 %, 1:20 left, run 120"]

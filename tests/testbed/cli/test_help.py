@@ -1,7 +1,6 @@
 """Help and completion: in the order of use, the same before and after loading, and without what is heavy."""
 
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -10,8 +9,6 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from laboratory.command import ExperimentGroup
-from laboratory.experiments.catalogue import OURS
 from testbed.cli.main import app
 from testbed.cli.root import LATER, PANELS
 
@@ -47,12 +44,6 @@ def test_every_command_is_in_the_order_of_use() -> None:
     assert names.index("sniff") > names.index("camera")
 
 
-def test_experiments_are_listed_with_what_they_show_and_cost() -> None:
-    shown = CliRunner().invoke(app, ["experiment", "--help"], terminal_width=200).output
-    assert all(name in shown for name in OURS)
-    assert ExperimentGroup().later["parking"].endswith("(60 to 90 CPU s of ten minutes a run)")
-
-
 def test_quiet_gives_results_alone_and_verbose_says_where(tmp_path: Path) -> None:
     words = [
         "experiment",
@@ -72,26 +63,6 @@ def test_quiet_gives_results_alone_and_verbose_says_where(tmp_path: Path) -> Non
     wrong = ["arm", "check", "nosuch"]
     assert "Traceback" in CliRunner().invoke(app, [*wrong, "-v"]).stderr
     assert "Traceback" not in CliRunner().invoke(app, wrong).stderr
-
-
-@pytest.mark.bench
-@pytest.mark.parametrize(
-    "words", [(), ("demo",), ("experiment",), ("camera",), ("experiment", "positioning")]
-)
-def test_help_costs_less_than_0_4_s_of_processor_time(words: tuple[str, ...]) -> None:
-    def cpu_s(*command: str) -> float:
-        def once() -> float:
-            before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-        return min(once() for _ in range(5))
-
-    yardstick_s = cpu_s("-c", "import numpy")
-    spent_s = cpu_s("-m", "testbed.cli", *words, "--help")
-    print(f"longreach {' '.join([*words, '--help'])}: {spent_s:.2f} s; import numpy: {yardstick_s:.2f} s")
-    assert spent_s < 0.4
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,9 @@ from collections.abc import Callable
 import pytest
 
 from protocol.faults import CommandCode
-from testbed.lockstep.clock import run
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import World
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 
 

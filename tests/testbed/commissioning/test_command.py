@@ -19,8 +19,7 @@ from testbed.commissioning.command import CommissionRequest, run_commission
 from testbed.commissioning.findings import joint_findings
 from testbed.commissioning.recording import JointRecording, load_recording
 from testbed.lockstep.world import World
-from testbed.scenarios.named_requests import fault_orders
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import fault_orders, load_settings
 from tests.support.paths import CONFIGS
 
 pytestmark = [pytest.mark.slow("a minute of arm time"), pytest.mark.timeout(600)]

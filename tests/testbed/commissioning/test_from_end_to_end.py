@@ -10,7 +10,7 @@ from foundation.configuration import parse_overrides
 from laboratory.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from nominal_arm.commissioned import Commissioned
 from testbed.commissioning.command import CommissionRequest, run_commission
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.timeout(600)  # a minute of arm time and a look, on a busy machine

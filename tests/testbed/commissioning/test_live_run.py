@@ -21,14 +21,12 @@ from nominal_arm.commissioned import Commissioned
 from protocol.errors import ConfigurationError, LongreachError
 from protocol.faults import CommandCode
 from testbed.commissioning.command import CommissionRequest, run_commission
-from testbed.commissioning.live_run import LiveController, excite_live, read_trial
-from testbed.commissioning.lockstep_run import with_excitation
-from testbed.commissioning.session import trials_told
-from testbed.lockstep.clock import run
-from testbed.lockstep.run_log import RunLog
+from testbed.commissioning.recording import trials_told
+from testbed.commissioning.runs import LiveController, excite_live, read_trial, with_excitation
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import World
 from testbed.realtime.live_client import LiveClient
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.controller.shell.plant_server import PlantServer, plant_server
 from tests.support.paths import CONFIGS
 from tests.support.patience import PATIENT

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from testbed.commissioning.margins import MARGINS, Margins, gain_within, margins_of
+from testbed.commissioning.findings import MARGINS, Margins, gain_within, margins_of
 
 
 @pytest.mark.parametrize(("gain", "lag"), [(2.0, 0.1), (10.0, 0.02), (0.5, 0.6)])

@@ -5,8 +5,8 @@ import pytest
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.loop_fit import Floor, loop_of
-from testbed.commissioning.ramp_fit import RampFits, fit_ramps
+from testbed.commissioning.ramp_fit import Floor, RampFits, fit_ramps, loop_of
+from testbed.commissioning.ramp_rows import Uncertain, repeated
 from testbed.commissioning.recording import (
     StrokeRecord,
     air_compressed,
@@ -14,7 +14,6 @@ from testbed.commissioning.recording import (
     recording_of,
     strokes_in,
 )
-from testbed.commissioning.uncertain import Uncertain, repeated
 from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
 from tests.controller.excitation.toy_valve import ToyValve, arm, plan_for, tried
 

@@ -1,25 +1,26 @@
 """The demonstration at drill holes: which are driven to, and that each is judged by its own true place."""
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
-from testbed.cli.main import app
-from testbed.demonstration.holes import SeenHole, aimed_truths, chosen, visit_holes
-from testbed.demonstration.sequence import Clicked, Recorder, Rest, TimedTruth, note_of, stages, told_of
+from testbed.demonstration.sequence import (
+    Clicked,
+    Recorder,
+    Rest,
+    TimedTruth,
+    aimed_truths,
+    stages,
+    visit_holes,
+)
 from testbed.reporting.console import bars
 from testbed.reporting.outcome import Array, Outcome, verdict
 from testbed.reporting.report import Picture
 from tests.plant_emulator.plant_world import plant_config
-from vision_pc.application.visit import Visited
-from vision_pc.core.positioning.expected_end import ExpectedEnd
-from vision_pc.core.positioning.look_then_move import LookVerdict, PositioningResult, Step
 
 HOLES_O = np.array([[0.0, 0.0, 0.0], [0.2, 0.1, 0.003], [-0.2, 0.0, 0.0]])
 
@@ -78,12 +79,6 @@ def test_the_three_in_the_middle_are_clicked_and_driven_to_from_left_to_right() 
         visit_holes(StubRig(2), Recorder(rig, shown))
 
 
-def test_a_hole_far_from_the_others_is_left_alone() -> None:
-    places = [(0.0, 0.9), (0.1, 0.0), (0.3, 0.1), (0.2, 0.05)]
-    seen = [SeenHole(np.array([1000.0 * x, 0.0]), np.array([x, y, 1.0])) for x, y in places]
-    assert [hole.p_C[0] for hole in chosen(seen)] == [0.1, 0.2, 0.3]
-
-
 def test_every_hole_is_judged_by_the_true_place_nearest_to_its_click() -> None:
     now = truth()
     truths = [TimedTruth(int(1e9 * second), now) for second in range(10)]
@@ -118,18 +113,3 @@ def test_one_hole_outside_fails_the_whole_row() -> None:
     assert not outcome(1.0, 5.1, 2.0).passed
     assert "NOT within" in verdict(outcome(1.0, 5.1, 2.0))
     assert not outcome(1.0, 2.0).passed, "the third was not reached"
-
-
-def test_a_visits_note_is_that_of_its_last_drive() -> None:
-    end = ExpectedEnd(np.zeros(3), 1e-6 * np.eye(3), math.inf, 0.97)
-    look = LookVerdict(np.zeros(3), np.full(3, 1e-3), 0.005, 0.1, True, True)
-    drive = PositioningResult((look,), (Step(np.zeros(3), np.eye(4), end),), "inside")
-    visited = (Visited("t1", "measured", 0.0, True, drive),)  # type: ignore[arg-type]
-    assert "inside with probability 0.97" in note_of(visited)
-    assert "and so are the 95 % intervals" in note_of(visited)
-    assert told_of(visited) is end
-
-
-def test_the_command_offers_the_target() -> None:
-    shown = CliRunner().invoke(app, ["demo", "--help"], terminal_width=200)
-    assert "--target" in shown.output

@@ -1,9 +1,7 @@
 """Exported arms in two readers that share no line with ours: poses, masses, springs; and what is refused."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree as etree
 
 import numpy as np
 import pytest
@@ -18,8 +16,7 @@ from plant_emulator.core.mechanics.geometry import build_chain
 from plant_emulator.core.mechanics.multibody import forward_dynamics, forward_kinematics, multibody_work
 from plant_emulator.core.model import build_model, put_payload
 from testbed.cli.main import app
-from testbed.exports.arm_tree import ArmTree, nominal_tree, true_tree
-from testbed.exports.formats import mjcf, roll_pitch_yaw, urdf
+from testbed.exports.arm_tree import ArmTree, mjcf, nominal_tree, roll_pitch_yaw, true_tree, urdf
 from tests.support.paths import CONFIGS
 from tests.testbed.exports.readers import READERS, MujocoReader, PinocchioReader
 from vision_pc.core.se3 import Array, exp_so3, transform
@@ -127,18 +124,6 @@ def test_a_stiff_arm_has_six_joints(form: str, tmp_path: Path) -> None:
             np.testing.assert_allclose(reader(path).pose(q), own, rtol=0.0, atol=ROUNDING)
 
 
-def test_limits_and_speeds_are_the_arms_own(tmp_path: Path) -> None:
-    arm = nominal("4 m arm")
-    limits = [joint.find("limit") for joint in etree.fromstring(urdf(nominal_tree(arm))).iter("joint")]
-    told = [
-        [float(limit.get(key, "")) for key in ("lower", "upper", "velocity")]
-        for limit in limits
-        if limit is not None
-    ]
-    wanted = [np.radians([j.lower_deg, j.upper_deg, j.speed_deg_s]) for j in arm.joints]
-    np.testing.assert_allclose(told, wanted, rtol=1e-15)
-
-
 @pytest.mark.parametrize("pitch", [0.0, 0.3, np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-9])
 def test_roll_pitch_and_yaw_give_the_rotation_back_also_at_gimbal_lock(pitch: float) -> None:
     for roll, yaw in np.random.default_rng(5).uniform(-3.0, 3.0, (50, 2)):
@@ -150,18 +135,6 @@ def test_roll_pitch_and_yaw_give_the_rotation_back_also_at_gimbal_lock(pitch: fl
 
 def run(*arguments: str) -> Result:
     return CliRunner().invoke(app, ["export", *arguments, "--config-dir", str(CONFIGS)])
-
-
-def test_the_command_writes_and_tells(tmp_path: Path) -> None:
-    file, figures = tmp_path / "arm.xml", tmp_path / "figures.json"
-    done = run(
-        "mjcf", "--true", "--out", str(file), "--json", str(figures), "--set", "plant.payload.mass_kg=40"
-    )
-    assert done.exit_code == 0, done.output
-    told = json.loads(figures.read_text())
-    assert told["joints"] == MujocoReader(file).names
-    assert told["mass_kg"] == pytest.approx(float(MujocoReader(file).model.body_mass.sum()), rel=1e-12)
-    assert f"{len(told['joints'])} joints" in done.output
 
 
 @pytest.mark.parametrize(

@@ -183,15 +183,6 @@ async def test_datagrams_are_lost_doubled_and_reordered_as_counted() -> None:
         assert back != sorted(back)
 
 
-async def test_a_server_that_is_not_there_breaks_nothing() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unused:
-        unused.bind(("127.0.0.1", 0))
-        port = unused.getsockname()[1]
-    async with UdpProxy(Route(0, port), Faults(), Faults(), 1) as proxy:
-        assert await talk(proxy.port, 5, 0.1) == []
-        assert proxy.statistics()["to_server"]["passed"] == 5
-
-
 async def coupler_through(port: int, up: Faults, down: Faults, numbers: list[int]) -> list[CaseOutcome]:
     async with TcpProxy(Route(0, port), up, down, 9) as proxy:
         summary = await asyncio.to_thread(run_coupler, "127.0.0.1", proxy.port, numbers=numbers)

@@ -169,13 +169,6 @@ def test_a_bad_document_is_refused(tmp_path: Path, data: Any, cause: str) -> Non
     assert caught.value.cause == f"refused.hand_eye.{cause}"
 
 
-def test_an_empty_document_leaves_too_few_samples(tmp_path: Path) -> None:
-    from protocol.errors import MeasurementFailed
-
-    with pytest.raises(MeasurementFailed, match="0 samples are too few"):
-        methods.solve(load(saved(tmp_path, {"samples": []})))
-
-
 def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestRefused, match="No such file") as caught:
         load(tmp_path / "absent.json")
@@ -294,25 +287,6 @@ def test_recordings_are_paired_and_their_clocks_aligned(tmp_path: Path, offset: 
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=2e-3)
     pairs, _ = trajectories.pair(hand, camera, PairingOptions(offset_s=offset))
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-4)
-
-
-def test_chosen_moments_are_apart(tmp_path: Path) -> None:
-    _, hand, camera = recording()
-    pairs, _ = trajectories.pair(hand, camera, PairingOptions(spacing_deg=8.0, spacing_m=0.08))
-    X = pairs.X_BT
-    for k in range(len(X)):
-        others = np.delete(X, k, axis=0)
-        turned = stacks.angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X[k, :3, :3])
-        moved = np.linalg.norm(others[:, :3, 3] - X[k, :3, 3], axis=1)
-        assert ((turned > np.radians(8.0)) | (moved > 0.08)).all()
-
-
-def test_a_list_of_poses_is_used_whole() -> None:
-    scene = random_scene(np.random.default_rng(52), 9)
-    times = 10.0 * np.arange(9.0)
-    pairs, _ = trajectories.pair(Trajectory(times, scene.X_BT), Trajectory(times, scene.P()))
-    assert len(pairs) == 9
-    np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-9)
 
 
 def test_unsorted_and_repeated_times_are_put_right(tmp_path: Path) -> None:

@@ -15,12 +15,6 @@ def _gain(move: np.ndarray) -> float:
     return float(ASKED @ ASKED - np.sum((ASKED - COLUMNS @ move) ** 2) - move @ move)
 
 
-def test_without_a_bound_in_the_way_it_is_the_whole_step() -> None:
-    information, downhill = information_of_step(COLUMNS, np.ones(2)), COLUMNS.T @ ASKED
-    whole = np.linalg.solve(information, downhill)
-    np.testing.assert_allclose(bounded_move(information, downhill, -WIDE, WIDE), whole)
-
-
 def test_what_a_bound_holds_back_the_others_make_up_for() -> None:
     """Two numbers that all but their sum confuses: cut off at the bound of one, the step goes uphill."""
     information, downhill = information_of_step(COLUMNS, np.ones(2)), COLUMNS.T @ ASKED
@@ -32,10 +26,3 @@ def test_what_a_bound_holds_back_the_others_make_up_for() -> None:
     best = lsq_linear(rows, told, (low, WIDE)).x
     np.testing.assert_allclose(move, best, atol=1e-6)
     assert _gain(move) > 0.9 * _gain(best)
-
-
-def test_damping_shortens_along_the_diagonal_and_the_prior_stays() -> None:
-    plain, damped = (information_of_step(COLUMNS, np.array([2.0, 3.0]), damping) for damping in (0.0, 0.5))
-    scaled = COLUMNS * [2.0, 3.0]
-    np.testing.assert_allclose(plain, scaled.T @ scaled + np.eye(2))
-    np.testing.assert_allclose(damped - plain, 0.5 * np.diag(np.diag(scaled.T @ scaled)))

@@ -1,27 +1,23 @@
 """Stages four and five: what a fitted plant is worth, whether it is believed, and its file."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
 from testbed.cli import identify
 from testbed.cli.options import IdentifyOptions
-from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, Piece, record
-from testbed.identification.findings import findings, write_plant_file
-from testbed.identification.fit import Identified, Simple, problem_of, reported
+from testbed.identification.findings import write_plant_file
+from testbed.identification.fit import Identified, Simple, problem_of
 from testbed.identification.free_run import measured, predicted
 from testbed.identification.operating import PressureFit
 from testbed.identification.parameters import base_of, changed, parameters_of
-from testbed.identification.problem import FitProblem, signals
-from testbed.identification.recording import MotionRecording
-from testbed.identification.shooting import Fit
+from testbed.identification.recording import Machine, MotionRecording, check_recording
+from testbed.identification.shooting import Fit, FitProblem, signals
 from testbed.identification.validation import check_believable, check_noise, validate, whiteness
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -216,42 +212,9 @@ def test_what_is_no_noise_is_written_when_asked_for_and_without_spreads(
     assert told.split(",", maxsplit=1)[0].replace("0.3 %", "σ") in path.read_text().splitlines()[1]
 
 
-def test_a_plant_file_that_cannot_be_written_is_one_line(
-    file: PlantConfig, true_fit: Identified, recorded: MotionRecording, tmp_path: Path
-) -> None:
-    (tmp_path / "a").write_text("")
-    with pytest.raises(ConfigurationError, match=r"b\.yaml: ") as caught:
-        write_plant_file(tmp_path / "a" / "b.yaml", true_fit, file, recorded)
-    assert caught.value.cause == "output.unwritable"
-
-
 def test_a_plant_too_stiff_for_the_files_step_is_written_with_the_fits(
     file: PlantConfig, problem: FitProblem, true_fit: Identified, recorded: MotionRecording, tmp_path: Path
 ) -> None:
     hasty = file.model_copy(update={"step_ms": 0.7})
     loaded = write_plant_file(tmp_path / "stiff.yaml", true_fit, hasty, recorded)
     assert loaded.step_ms == problem.base["step_ms"] == pytest.approx(0.4)
-
-
-def test_what_a_recording_of_lift_alone_does_not_tell_is_kept(true_fit: Identified) -> None:
-    """Only the lift's flow is told here: everything else keeps the file's number and the prior's σ."""
-    problem = true_fit.problem
-    k = next(k for k, p in enumerate(problem.parameters) if p.name == "lift rated flow +")
-    slopes = np.zeros_like(true_fit.whole.jacobian)
-    slopes[:, k] = 1.0 / problem.spreads[k]
-    fit = reported(problem, true_fit.whole._replace(jacobian=slopes))
-    told: dict[str, Any] = {f.name: f for f in findings(true_fit._replace(whole=fit))}
-    assert told["lift rated flow +"].told == "identified"
-    others = [f for name, f in told.items() if name != "lift rated flow +"]
-    assert {f.told for f in others} == {"kept at the prior"}
-    assert all(f.fitted == f.file for f in others)
-    assert told["lift Coulomb"].std == pytest.approx(0.3 * told["lift Coulomb"].file)
-    assert told["payload"].std == pytest.approx(60.0)
-
-
-def test_the_file_is_yaml_with_every_entry_once(
-    file: PlantConfig, true_fit: Identified, recorded: MotionRecording, tmp_path: Path
-) -> None:
-    path = tmp_path / "p.yaml"
-    write_plant_file(path, true_fit, file, recorded)
-    assert set(yaml.safe_load(path.read_text())) == set(yaml.safe_load(file.model_dump_json()))

@@ -11,14 +11,6 @@ def _fitted(rows: np.ndarray, truth: np.ndarray, noise: np.ndarray) -> tuple[np.
     return posterior @ rows.T @ (rows @ truth + noise), posterior
 
 
-def test_what_is_told_stays_as_it_was_fitted() -> None:
-    theta, posterior = np.array([0.3, -1.0]), np.diag([0.01, 0.04])
-    kept = keep_untold(theta, posterior, [0, 1])
-    assert kept.kept == ()
-    np.testing.assert_array_equal(kept.theta, theta)
-    np.testing.assert_array_equal(kept.covariance, posterior)
-
-
 def test_what_is_not_told_goes_back_to_the_file_with_the_priors_spread() -> None:
     kept = keep_untold(np.array([0.3, 0.2]), np.diag([1e-4, 0.95]), [0, 1])
     assert kept.kept == (1,)
@@ -34,10 +26,6 @@ def test_of_two_that_only_their_sum_tells_one_is_kept_and_the_other_makes_up_for
     np.testing.assert_allclose(kept.theta.sum(), 0.8, atol=1e-5)
     np.testing.assert_allclose(np.sqrt(np.diag(kept.covariance)), 1.0, rtol=1e-3)
     assert np.sqrt(kept.covariance.sum()) < 2e-3  # of their sum
-
-
-def test_the_start_of_a_recording_is_never_kept() -> None:
-    assert keep_untold(np.ones(2), np.eye(2), [0]).kept == (0,)
 
 
 def test_the_covariance_is_that_of_the_error_over_many_plants() -> None:

@@ -8,10 +8,17 @@ import pytest
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
-from testbed.identification.checks import Machine
-from testbed.identification.excitation import Piece, record
+from testbed.identification.excitation import (
+    Informed,
+    Piece,
+    beyond_limits,
+    chosen,
+    informed,
+    not_told,
+    record,
+)
 from testbed.identification.parameters import parameters_of
-from testbed.identification.planning import Informed, beyond_limits, chosen, informed, not_told
+from testbed.identification.recording import Machine
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 MACHINE = Machine("an arm", "0123456789abcdef", "servo")

@@ -10,9 +10,14 @@ import pytest
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
-from testbed.identification.checks import Machine, check_recording
 from testbed.identification.excitation import FINE_STEP_MS, Piece, held_out, record, standard, words
-from testbed.identification.recording import MotionRecording, read_recording, write_recording
+from testbed.identification.recording import (
+    Machine,
+    MotionRecording,
+    check_recording,
+    read_recording,
+    write_recording,
+)
 
 MACHINE = Machine("an arm", "0123456789abcdef", "servo")
 CONFIGS = Path(__file__).parents[3] / "configs"

@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from testbed.identification import problem, shooting
+from testbed.identification import shooting
 from testbed.identification.parameters import Parameter
-from testbed.identification.problem import FitProblem
-from testbed.identification.shooting import DAMPINGS, Plan, shoot
+from testbed.identification.shooting import DAMPINGS, FitProblem, Plan, shoot
 from testbed.identification.validation import MOST_PROMISED
 
 N = 400
@@ -23,9 +22,8 @@ def _straight(_problem: Any, _window_s: float, theta: np.ndarray) -> np.ndarray:
 
 def _put(monkeypatch: pytest.MonkeyPatch, model: Any, measured: np.ndarray) -> None:
     """Let ``model`` stand for the plant, and ``measured`` (N,) for what a recording told."""
-    for module in (problem, shooting):
-        monkeypatch.setattr(module, "signals", model)
-    monkeypatch.setattr(problem, "measured", lambda _recording: measured[:, None])
+    monkeypatch.setattr(shooting, "signals", model)
+    monkeypatch.setattr(shooting, "measured", lambda _recording: measured[:, None])
 
 
 @pytest.fixture

@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.clock import run
-from testbed.lockstep.recordings import CONTROLLER, TRUTH, VISION
-from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
-from testbed.scenarios.settings import load_settings
+from testbed.lockstep.clock import RunLog, run
+from testbed.lockstep.rig import CONTROLLER, TRUTH, VISION, LockstepRig
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.types import Look
 

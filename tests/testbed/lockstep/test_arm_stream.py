@@ -5,10 +5,9 @@ import pytest
 
 from protocol.errors import LongreachError, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
-from testbed.lockstep.clock import run
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.world import World
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.ports import ReferenceStream

@@ -16,13 +16,12 @@ from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, GroupState
 from protocol.reference_messages import Command, ReferencePath
 from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.lockstep.controller_side import ControllerSide
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import FrameOdometry, SimulatedSensor
-from testbed.lockstep.world import World
+from testbed.lockstep.world import ControllerSide, World
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.pixel_sensor import PixelSensor

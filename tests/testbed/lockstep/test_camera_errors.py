@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from laboratory.experiments.positioning.corrected_run import adapting
-from testbed.lockstep.frames import SimulatedFrame
+from testbed.lockstep.simulated_measurements import SimulatedFrame
 from tests.support.paths import CONFIGS
 from tests.testbed.lockstep.test_simulated_measurements import Stage, noisy
 from vision_pc.core.perception.watch import Watcher

@@ -10,10 +10,10 @@ import pytest
 from laboratory.experiments.positioning.corrected_run import operate, true_error_mm
 from protocol.errors import MeasurementFailed
 from protocol.faults import GroupState
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.types import CameraFrame, FrameObservation
 
@@ -32,21 +32,6 @@ def calibrated() -> LockstepRig:
     operate(rig, "look", {"frames": 3})
     operate(rig, "local-track", {})
     return rig
-
-
-@pytest.mark.experiment
-@pytest.mark.timeout(600)
-def test_it_settles_under_2_mm_and_the_arm_rests_there(calibrated: LockstepRig) -> None:
-    rig = copy.deepcopy(calibrated)
-    before_mm = float(np.linalg.norm(true_error_mm(rig)))
-    result = operate(rig, "looking-and-moving", {})
-    assert before_mm > 300.0
-    assert np.abs(true_error_mm(rig)[:2]).max() < 2.0
-    assert rig.link.state.group_state is GroupState.STANDBY
-    assert result.approach.missed <= 3, (
-        "of some hundred pictures, as the eye model misses markers now and then"
-    )
-    assert result.look.verdict.inside
 
 
 @pytest.mark.timeout(600)

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode
-from testbed.lockstep.guided_rig import GuidedRig, recover
+from testbed.lockstep.rig import GuidedRig, recover
 
 
 class RampingLink:

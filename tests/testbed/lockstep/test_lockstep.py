@@ -9,11 +9,10 @@ from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import GroupState
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.clock import run
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.se3 import from_pose

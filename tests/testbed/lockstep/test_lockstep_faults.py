@@ -8,9 +8,9 @@ from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_WATCHDOG_TRIPPED
 from protocol.reference_messages import Command, ReferencePose
 from testbed.lockstep.camera_side import Exposure, SentFrame
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.world import World
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 
 MS = 1_000_000

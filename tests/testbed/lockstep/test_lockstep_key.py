@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance.bytes_of import resealed
+from conformance.wire import resealed
 from protocol.datagram import decode
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.reference_messages import Command, ReferencePose
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.world import World
-from testbed.scenarios.settings import chosen_overrides, load_settings
+from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 
 MS = 1_000_000

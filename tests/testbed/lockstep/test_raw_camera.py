@@ -10,12 +10,10 @@ import pytest
 from foundation.configuration import merged
 from plant_emulator.config.camera import CameraConfig
 from protocol.errors import ConfigurationError
-from testbed.lockstep.clock import run
-from testbed.lockstep.eyes import camera_eyes
-from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
+from testbed.lockstep.clock import RunLog, run
+from testbed.lockstep.simulated_measurements import camera_eyes, load_eye_model, simulated_sight
 from testbed.lockstep.world import World
-from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.config.camera_files.reading import write_calibration
 from vision_pc.config.stereo_camera import StereoCalibration

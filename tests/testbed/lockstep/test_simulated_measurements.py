@@ -15,16 +15,16 @@ from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.errors import ConfigurationError, MeasurementFailed
-from testbed.lockstep.frames import SimulatedFrame
 from testbed.lockstep.simulated_measurements import (
     CornerNoise,
     EyeModelConfig,
+    SimulatedFrame,
     SimulatedSensor,
     load_eye_model,
 )
 from testbed.lockstep.simulated_odometry import TrackingNoise
 from testbed.lockstep.true_view import TrueView
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Watcher

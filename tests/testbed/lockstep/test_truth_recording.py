@@ -7,9 +7,9 @@ import numpy as np
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.recording import Recording, read_truth
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.world import World
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
 SETTINGS = load_settings(CONFIGS, {})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
-from testbed.pictures.board_question import counts_shown, question
+from testbed.camera.checking import counts_shown, question
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.types import Image
 

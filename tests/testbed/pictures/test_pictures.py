@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -12,11 +11,8 @@ from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import FAULTS
 from testbed.cli.main import app
-from testbed.pictures import effect_sheet
+from testbed.pictures import effects as effect_sheet
 from testbed.pictures.effects import CLEAN, Effect, effects
-from testbed.pictures.machine import draw_machine
-from testbed.pictures.sheet import COLUMNS, Pair, contact_sheet
-from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
 
@@ -66,18 +62,3 @@ def test_the_command_shows_an_effect_off_and_on(tmp_path: Path, monkeypatch: pyt
     assert on[:50, :50].mean() < 0.55 * off[:50, :50].mean()
     assert on[340:380, 620:660].mean() == pytest.approx(off[340:380, 620:660].mean(), rel=0.02)
     assert (tmp_path / "camera_effects.png").stat().st_size < 300_000
-
-
-def test_a_sheet_has_a_cell_for_every_pair() -> None:
-    picture = np.zeros((72, 128), dtype=np.uint8)
-    pair = Pair("a", "b", picture, picture)
-    heights = [contact_sheet([pair] * count).shape[0] for count in (1, COLUMNS, COLUMNS + 1)]
-    assert heights[0] == heights[1] < heights[2]
-
-
-def test_the_machine_s_picture_shows_every_frame(tmp_path: Path) -> None:
-    path = tmp_path / "machine.svg"
-    draw_machine(load_settings(CONFIGS, {}), path)
-    text = path.read_text(encoding="utf-8")
-    for what in ("base", "tool centre point", "left camera", "tool marker", "object of interest"):
-        assert what in text

@@ -148,11 +148,3 @@ def test_what_cannot_be_printed_is_one_line(tmp_path: Path, words: list[str], ca
     assert done.stderr.startswith(f"longreach: refused.target.{cause}: ")
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "a.pdf").exists()
-
-
-def test_the_largest_that_is_offered_does_fit(tmp_path: Path) -> None:
-    told = printed(tmp_path / "a.pdf", "--board", "9x6", "--size-mm", "60").stderr
-    largest = re.search(r"--size-mm ([\d.]+) at most", told)
-    assert largest is not None
-    assert printed(tmp_path / "a.pdf", "--board", "9x6", "--size-mm", largest[1]).exit_code == 0
-    assert printed(tmp_path / "a.png", "--marker", "1").exit_code == 2

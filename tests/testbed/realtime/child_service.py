@@ -8,7 +8,7 @@ import threading
 from types import FrameType
 
 from foundation.event_log import EventLog
-from foundation.signs_of_life import signs_of_life
+from foundation.service_main import signs_of_life
 
 
 def main(how: str) -> int:

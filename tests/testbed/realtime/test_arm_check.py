@@ -3,9 +3,8 @@
 import asyncio
 
 from foundation.configuration import configuration_hash
-from testbed.realtime.arm_check import arm_check
-from testbed.realtime.doctor import HealthCheck
-from testbed.realtime.supervisor import free_port
+from testbed.realtime.doctor import HealthCheck, arm_check
+from testbed.realtime.launch import free_port
 from tests.faults.live import Machine
 from tests.faults.rig import settings_of
 from vision_pc.config.vision import LinkSettings

@@ -11,7 +11,7 @@ import pytest
 from foundation.configuration import read_yaml
 from testbed.cli.doctor import examine
 from testbed.realtime import doctor
-from testbed.realtime.ports import PortUse
+from testbed.realtime.launch import PortUse
 from tests.support.paths import ROOT, copied_configs
 
 
@@ -56,10 +56,6 @@ def test_a_package_of_another_version_is_named(tmp_path: Path) -> None:
     assert check.verdict == "failed"
     assert "instead of 0.0.1" in check.found
     assert "no-such-package missing" in check.found
-
-
-def test_a_missing_lock_is_a_warning(tmp_path: Path) -> None:
-    assert doctor.versions_check(tmp_path / "requirements.lock").verdict == "warning"
 
 
 def test_a_taken_port_is_named_with_its_kind() -> None:

@@ -8,7 +8,7 @@ from foundation.configuration import merged
 from protocol.errors import ConfigurationError
 from testbed.realtime import launch as launching
 from testbed.realtime.launch import Launch, prepare
-from testbed.scenarios.settings import load_settings, with_face
+from testbed.scenarios.scenario import load_settings, with_face
 from tests.support.paths import CONFIGS
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from protocol.errors import LinkLost
 from testbed.demonstration.sequence import note_of
-from testbed.realtime.parsed_results import RESULT_OF, look_of
+from testbed.realtime.rest_rig import RESULT_OF, look_of
 from vision_pc.application.results import (
     JudgedLook,
     calibration_json,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from testbed.realtime.child import Service, ServiceFailed
-from testbed.realtime.supervisor import Supervisor, free_port, supervised
+from testbed.realtime.launch import Supervisor, free_port, supervised
 
 pytestmark = pytest.mark.realtime
 
@@ -74,7 +74,7 @@ def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
 def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     program = (
         "import time; from pathlib import Path; from testbed.realtime.child import *\n"
-        "from testbed.realtime.supervisor import *\n"
+        "from testbed.realtime.launch import *\n"
         f"s = Supervisor(Path({str(tmp_path)!r}))\n"
         "s.start(Service('x', 'tests.testbed.realtime.child_service', ('good',)))\n"
         "print(s.children['x'].pid, flush=True); time.sleep(60)"
@@ -106,14 +106,6 @@ def test_a_killed_service_is_told_with_its_signal_and_its_last_error(tmp_path: P
     with supervised([service("lives")], tmp_path) as supervisor:
         supervisor.children["service"].kill()
         with pytest.raises(ServiceFailed, match=r"by itself with signal SIGKILL$"):
-            supervisor.check()
-
-
-def test_the_last_complaint_of_a_killed_service_is_not_told_as_the_reason(tmp_path: Path) -> None:
-    with supervised([service("complains")], tmp_path) as supervisor:
-        told_until(supervisor, "oil", 10.0)
-        supervisor.children["service"].kill()
-        with pytest.raises(ServiceFailed, match=r"SIGKILL; its last complaint was oil.low: the tank"):
             supervisor.check()
 
 
@@ -150,12 +142,6 @@ def test_a_service_that_another_ends_is_started_anew_alone(tmp_path: Path) -> No
         assert anew.pid != second
         assert anew.arguments == ("lives", "--record-dir", "out.2")
         assert (tmp_path / "second.2.log").exists()
-
-
-def test_errors_are_told_while_a_service_runs(tmp_path: Path) -> None:
-    with supervised([service("complains")], tmp_path) as supervisor:
-        told = told_until(supervisor, "oil", 10.0)
-    assert told == ["service: oil.low: the tank is half empty"]
 
 
 def test_a_full_disk_loses_lines_and_not_the_service(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ import pytest
 
 from foundation.recording.messages import event_bytes, fields_of
 from protocol.errors import ConfigurationError, MeasurementFailed
-from testbed.lockstep.recordings import VISION
-from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.clock import RunLog
+from testbed.lockstep.rig import VISION, LockstepRig
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.recordings import command
 from testbed.recordings.command import ReplayRequest
@@ -21,7 +20,7 @@ from testbed.recordings.comparison import OPERATION, REFERENCE
 from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.recorded_vision import recorded_vision
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from tests.testbed.recordings.editing import all_of, edited
 from vision_pc.application.bodies import RequestBody

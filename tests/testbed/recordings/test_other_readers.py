@@ -15,12 +15,9 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from foundation.recording.decoding import class_in, messages
 from foundation.recording.mcap_file import Format
-from foundation.recording.messages import MessageField, format_of, message_class
 from foundation.recording.recovery import contents
 from testbed.recordings.merging import merge
-from tests.support.rerun import needs_rerun, rerun
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
-from vision_pc.shell.recording import vision_recorder as vision
 
 MERGED = "session.mcap"
 _SCALARS = {
@@ -76,27 +73,6 @@ def test_every_schema_keeps_the_viewer_s_rules(files: dict[str, Path], name: str
     assert all(".".join(topic.format.schema.split(".")[:-1]) for topic in found.topics.values())
 
 
-def test_what_breaks_the_rules_is_seen() -> None:
-    heap = message_class("Heap", (MessageField("parts", "bytes", repeated=True),))
-    assert refused(format_of(heap)) == ["longreach.Heap.parts: repeated bytes"]
-    whole = format_of(vision.own.LookMessage)
-    assert refused(whole) == []
-    assert refused(whole._replace(message_encoding="json")) == ["json in protobuf"]
-    described = descriptor_pb2.FileDescriptorSet()
-    described.file.add(name="a.proto", dependency=["b.proto"])
-    half = whole._replace(data=described.SerializeToString())
-    assert refused(half) == ["not in the schema: b.proto"]
-    itself = descriptor_pb2.FileDescriptorProto(name="t.proto", package="longreach", syntax="proto3")
-    made = itself.message_type.add(name="Tree")
-    kind = descriptor_pb2.FieldDescriptorProto
-    made.field.add(
-        name="up", number=1, type=kind.TYPE_MESSAGE, type_name=".longreach.Tree", label=kind.LABEL_OPTIONAL
-    )
-    described = descriptor_pb2.FileDescriptorSet(file=[itself])
-    tree = Format("longreach.Tree", "protobuf", described.SerializeToString(), "protobuf")
-    assert refused(tree) == ["longreach.Tree holds itself"]
-
-
 @pytest.mark.parametrize("name", [*(Path(name).name for name in FILES), MERGED])
 def test_all_stamps_are_times_that_the_viewer_reads(files: dict[str, Path], name: str) -> None:
     found = contents(files[name])
@@ -118,17 +94,3 @@ def _stamps(message: Any) -> Iterator[Any]:
                     yield each
                 else:
                     yield from _stamps(each)
-
-
-@needs_rerun
-@pytest.mark.parametrize("name", [Path(FILES[2]).name, MERGED])
-def test_rerun_has_an_entity_for_every_topic(files: dict[str, Path], tmp_path: Path, name: str) -> None:
-    found = contents(files[name])
-    topics = {topic.name for channel, topic in found.topics.items() if found.counts.get(channel)}
-    rows = [line.split() for line in rerun(tmp_path, "mcap", "check", files[name]).splitlines()]
-    states = {row[3]: row[0] for row in rows if len(row) > 3 and row[3].startswith("/")}
-    assert states == dict.fromkeys(topics, "ok")
-    rerun(tmp_path, "mcap", "convert", files[name], "-o", tmp_path / "made.rrd")
-    told = rerun(tmp_path, "rrd", "stats", tmp_path / "made.rrd").splitlines()
-    assert topics <= {line.partition(":")[0] for line in told}
-    assert {"/camera/left/image", "/camera/left/calibration", "/vision/tf"} <= topics

@@ -38,10 +38,3 @@ def test_frames_come_in_their_turn_until_the_process_dies(
         assert refused.value.cause == "recording.not_rendered"
     with pytest.raises(ValueError, match="out of turn"):
         RenderedAhead([first], multiprocessing.Pipe()[0]).of(later[0])
-
-
-def test_on_one_core_nothing_is_started(recorded: RecordedRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0})
-    inline = RenderedPixels(recorded.directory / FILES[0])
-    with rendered_ahead(inline, recorded.directory / FILES[2]) as pixels:
-        assert pixels is inline

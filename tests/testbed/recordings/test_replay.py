@@ -19,9 +19,8 @@ from plant_emulator.shell.recording import read_truth
 from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.clock import run
+from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.recordings.command import ReplayRequest, run_replay
 from testbed.recordings.comparison import ReplayComparison
 from testbed.recordings.perception_replay import (
@@ -33,7 +32,7 @@ from testbed.recordings.perception_replay import (
 )
 from testbed.recordings.pixels import RenderedPixels
 from testbed.recordings.recorded_vision import recorded_vision
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.plant_emulator.plant_world import plant_config
 from tests.support.paths import CONFIGS
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun

@@ -10,10 +10,8 @@ import pytest
 
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
-from testbed.reporting import run_record as record
 from testbed.reporting.outcome import Errors, Outcome, Stage
 from testbed.reporting.report import OperationSpan, Picture, event_lines, spans, write_report
-from vision_pc.core.positioning.expected_end import expected_end
 
 
 def errors(x_mm: float, y_mm: float, z_mm: float) -> Errors:
@@ -59,17 +57,6 @@ def test_a_run_that_did_not_get_to_its_last_look_has_not_passed() -> None:
     assert "look 2 was not reached; the last stage was: look 1" in outcomes.verdict(made)
 
 
-def test_a_failed_look_is_a_dash_in_the_table_and_null_in_the_figures() -> None:
-    made = run(errors(1.0, 1.0, 1.0), errors(1.0, -2.0, 3.0))
-    table = outcomes.rows(made.stages)
-    assert table[1][1:5] == ("–", "–", "–", "–")
-    assert table[3][5:8] == ("+1.00", "-2.00", "+3.00")
-    assert all(len(row) == len(outcomes.HEADINGS) for row in table)
-    stages = outcomes.figures(made)["stages"]
-    assert stages[1]["image"] is None
-    assert stages[3]["true"]["y_mm"] == pytest.approx(-2.0)
-
-
 EVENTS: list[dict[str, object]] = [
     {"time_ns": 5_000, "event": "operation_queued", "kind": "look", "service": "vision_pc", "level": "info"},
     {"time_ns": 2_000_005_000, "event": "operation_ended", "kind": "look", "problem": None},
@@ -98,27 +85,6 @@ def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, traces:
     assert json.loads((tmp_path / "events.jsonl").read_text().splitlines()[0]) == EVENTS[0]
 
 
-@pytest.mark.slow("a run, its figures and its report")
-def test_the_report_says_what_made_the_run_and_links_what_it_recorded(
-    tmp_path: Path, traces: plots.Traces, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.argv", ["/somewhere/longreach", "demo", "--seed", "4"])
-    record.note(tmp_path, **record.beginning(), changed={"plant.payload.mass_kg": (50.0, 75.0)})
-    (tmp_path / "plant_emulator").mkdir()
-    (tmp_path / "plant_emulator" / "truth.mcap").write_bytes(b"\x89MCAP")
-    html = reported(tmp_path, traces)
-    assert "<code>longreach demo --seed 4</code>" in html
-    assert "plant.payload.mass_kg" in html
-    assert 'href="plant_emulator/truth.mcap"' in html
-    assert str(tmp_path) not in html, "nothing of this machine's paths is in it"
-
-
-def test_identifiers_of_the_figures_do_not_clash(tmp_path: Path, traces: plots.Traces) -> None:
-    identifiers = re.findall(r'\bid="([^"]+)"', reported(tmp_path, traces))
-    assert identifiers
-    assert len(set(identifiers)) == len(identifiers)
-
-
 def test_operations_are_spans_and_a_failed_one_has_its_cause() -> None:
     look, move = OperationSpan("look", 0.0, 2.0, ""), OperationSpan("move", 2.0, 4.0, "link.lost")
     assert spans(EVENTS) == [look, move]
@@ -126,10 +92,3 @@ def test_operations_are_spans_and_a_failed_one_has_its_cause() -> None:
     lines = event_lines([*EVENTS, {"time_ns": 6_000, "event": "state"}])
     assert len(lines) == len(EVENTS)
     assert (lines[3].at_s, lines[3].level, lines[3].words) == (3.0, "warning", "detail late")
-
-
-def test_the_told_ellipse_is_drawn_where_something_was_told() -> None:
-    stages = run(errors(9.0, 3.0, 1.0), errors(1.0, -2.0, 3.0)).stages
-    told = expected_end(np.zeros(3), np.diag([4e-6, 1e-6, 9e-6]), 0.005)
-    assert "told before" not in plots.target_plot(stages)
-    assert "look 1, told before: 95 %" in plots.target_plot([s._replace(told=told) for s in stages[:3]])

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from protocol.errors import ConfigurationError, LinkLost
 from testbed.cli.runs import app
 from testbed.reporting import run_record as record
 from testbed.reporting.run_directory import all_runs, one_run, run_directory
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 
 
@@ -142,48 +141,3 @@ def test_two_runs_are_compared_by_what_made_them_settings_and_stages(tmp_path: P
     assert [row["key"] for row in document["facts"]] == ["seed"]
     assert document["settings"] == [{"key": "arm.d", "first": "2.0", "second": "–"}]
     assert document["stages"][0]["first"] == "+1.00 -2.00 –"
-
-
-def test_list_and_show_tell_commands_endings_and_files(tmp_path: Path) -> None:
-    made(tmp_path, "20261122-090000", verdict="all limits met", seed=7, changed={"arm.d": (1.0, 2.0)})
-    status, told = asked("list", "--out", str(tmp_path))
-    assert status == 0
-    assert "longreach demo" in told
-    assert "all limits met" in told
-    status, told = asked("show", "--out", str(tmp_path))
-    assert status == 0
-    for words in ("arm.d", "report.html", "seed"):
-        assert words in told
-
-
-def test_the_index_page_has_all_runs_and_links_the_reports_that_there_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made(tmp_path, "20261121-090000", verdict="all <limits> met")
-    (made(tmp_path, "20261122-090000") / "report.html").unlink()
-    opened: list[str] = []
-    monkeypatch.setattr("webbrowser.open", opened.append)
-    status, told = asked("open", "all", "--out", str(tmp_path))
-    assert status == 0, told
-    assert opened == [(tmp_path / "index.html").as_uri()]
-    page = (tmp_path / "index.html").read_text()
-    assert re.findall(r'href="([^"]*)"', page) == ["20261121-090000/report.html"]
-    assert page.index("20261122-090000") < page.index("20261121-090000"), "the newest first"
-    assert "all &lt;limits&gt; met" in page
-    assert str(tmp_path) not in page
-
-
-def test_the_index_page_is_made_anew_at_the_end_of_each_run(tmp_path: Path) -> None:
-    for _ in range(2):
-        with run_directory(tmp_path) as directory:
-            (directory / "figures.json").write_text("{}")
-    page = (tmp_path / "index.html").read_text()
-    assert all(run.directory.name in page for run in all_runs(tmp_path))
-    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == ["index.html"]
-
-
-def test_a_run_without_a_report_is_not_opened(tmp_path: Path) -> None:
-    (made(tmp_path, "20261122-090000") / "report.html").unlink()
-    status, told = asked("open", "last", "--out", str(tmp_path))
-    assert status != 0
-    assert "no report.html" in told

@@ -21,7 +21,7 @@ from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES, JointName
 from testbed.scenarios.arms import arm_names, arm_overrides
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 
 MEASURABLE = {

@@ -31,13 +31,6 @@ def test_the_same_seed_is_the_same_world_and_two_seeds_differ() -> None:
         assert made.world(7)["plant"][key] != made.world(8)["plant"][key]
 
 
-def test_a_new_draw_leaves_the_others_as_they_were() -> None:
-    fewer = scenario({key: DRAWS[key] for key in list(DRAWS)[2:]}).world(3)
-    whole = scenario(DRAWS).world(3)
-    assert fewer["plant"]["offsets_mrad"] == whole["plant"]["offsets_mrad"]
-    assert fewer["scene"]["seed"] == whole["scene"]["seed"]
-
-
 def test_draws_keep_their_bounds_and_fill_them() -> None:
     made = scenario(DRAWS)
     worlds = [made.world(seed) for seed in range(300)]
@@ -51,16 +44,6 @@ def test_draws_keep_their_bounds_and_fill_them() -> None:
     offsets = np.array([world["plant"]["offsets_mrad"] for world in worlds])
     assert np.abs(offsets).max() <= 6.0
     assert offsets.std() == pytest.approx(2.0, abs=0.15)
-
-
-def test_overrides_stay_where_nothing_is_drawn() -> None:
-    made = scenario(
-        {"plant.a": {"kind": "seed"}}, overrides={"plant": {"b": {"c": 1}}, "scene": {"d": [1, 2]}}
-    )
-    world = made.world(1)
-    assert world["plant"]["b"] == {"c": 1}
-    assert isinstance(world["plant"]["a"], int)
-    assert world["scene"] == {"d": [1, 2]}
 
 
 @given(

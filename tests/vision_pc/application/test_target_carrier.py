@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import LinkLost, RequestRefused
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.core.se3 import Array, to_pose, transform

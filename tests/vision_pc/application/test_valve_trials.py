@@ -10,11 +10,11 @@ import pytest
 from foundation.configuration import parse_overrides
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
+from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.reporting.console import QuietBar, bars
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.valve_trials import TrialsSeen, trials_json
 

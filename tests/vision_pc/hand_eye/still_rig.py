@@ -16,7 +16,7 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import RequestRefused
 from protocol.faults import FaultCode, GroupState, Severity
-from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.steps import SessionStore

@@ -9,7 +9,7 @@ import pytest
 
 from laboratory.experiments.hand_eye.guided_experiment import needed
 from protocol.errors import MeasurementFailed
-from testbed.cli.hand_eye.files import run_drawing
+from testbed.cli.hand_eye_files import run_drawing
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.core import se3

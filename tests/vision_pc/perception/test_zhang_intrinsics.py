@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.hand_eye.board_views import detect, intrinsics_row
+from testbed.hand_eye.picture_samples import detect, intrinsics_row
 from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
 from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang

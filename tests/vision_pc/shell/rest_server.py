@@ -9,11 +9,9 @@ from types import MappingProxyType
 
 from fastapi import FastAPI
 
-from foundation.rest.access import Access
-from foundation.rest.home import Home
-from foundation.rest.server import RestServer
-from foundation.rest.thread import serve_in_thread
-from foundation.rest.tokens import Role
+from foundation.rest.files import Home
+from foundation.rest.server import RestServer, serve_in_thread
+from foundation.rest.tokens import Access, Role
 from tests.vision_pc.synthetic_station import Bench, bench
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 

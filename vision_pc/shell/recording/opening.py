@@ -5,8 +5,8 @@ from pathlib import Path
 
 from foundation.event_log import EventLog
 from foundation.live.feed import LiveFeed, Opened
-from foundation.recording.recording_thread import RecordingThread
-from foundation.recording.session import session_entries
+from foundation.recording.decoding import session_entries
+from foundation.recording.messages import RecordingThread
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from vision_pc.config.vision import VisionConfig

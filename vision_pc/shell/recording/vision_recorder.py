@@ -20,8 +20,14 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from foundation.event_log import Level
 from foundation.recording.mcap_file import Entries, Topic
-from foundation.recording.messages import EventMessage, event_bytes, format_of, log_line
-from foundation.recording.recording_thread import RecordingThread, RecordSink
+from foundation.recording.messages import (
+    EventMessage,
+    RecordingThread,
+    RecordSink,
+    event_bytes,
+    format_of,
+    log_line,
+)
 from protocol.clock_offset import OffsetEstimate
 from protocol.reference_messages import Command, Request, StreamedPose
 from protocol.session_events import ClientEvent, StateReceived

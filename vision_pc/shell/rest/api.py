@@ -10,10 +10,8 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
-from foundation.rest.docs_page import add_docs
-from foundation.rest.home import Home, run_endpoints_at
-from foundation.rest.problems import MEDIA_TYPE, problem
-from foundation.rest.refusals import respond
+from foundation.rest.files import Home, add_docs, run_endpoints_at
+from foundation.rest.problems import MEDIA_TYPE, problem, respond
 from foundation.rest.server import install_problems
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode

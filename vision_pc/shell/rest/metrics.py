@@ -5,7 +5,7 @@ from dataclasses import fields
 
 from fastapi import FastAPI, Response
 
-from foundation.live.metrics import MEDIA_TYPE, Figure, counters, exposition
+from foundation.live.wire import MEDIA_TYPE, Figure, counters, exposition
 from protocol.channel import LinkStatistics
 from protocol.errors import RequestRefused
 from vision_pc.application.application import VisionApplication

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
-from foundation.recording.recording_thread import DirectRecording
+from foundation.recording.messages import DirectRecording
 from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import FrameObservation, MarkerObservation, OdometryPose, PointPairs, StereoPair

@@ -21,10 +21,9 @@ from fastapi.responses import StreamingResponse
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from foundation.rest.files import PageFiles, add_files
-from foundation.rest.home import Home
+from foundation.periods import take_policy
+from foundation.rest.files import Home, PageFiles, add_files
 from foundation.rest.tokens import Role
-from foundation.scheduling import take_policy
 from protocol.errors import LongreachError, RequestRefused
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication

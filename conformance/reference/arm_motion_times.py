@@ -1,0 +1,328 @@
+"""Cases 557…560 and 568…571: motions take their time, go on without a step, and end as told (6.7 to 6.9).
+
+Times are judged on the tester's clock. That the speed has no step is told by the way: what moves at 25 mm/s
+and ramps down in 0.3 s goes on by 3.7 mm, and what stops at once by nothing.
+"""
+
+import math
+from itertools import pairwise
+
+from conformance.case import reference
+from conformance.parts import OptionalPart
+from conformance.peer import Peer
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_transitions import entered
+from conformance.reference.motion import expect_reason, moved, require_reason
+from conformance.wire import MS, Unsupported, require
+from protocol.axes_group import Mode
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, Acknowledgement, ReferencePath, ReferencePose
+
+case = reference.case
+# What a busy machine adds to the time of a motion.
+LATE_MS = 30.0
+# The least way of a ramp from the middle of the motion, and the furthest from one STATE to the next.
+RAMP_M, STEP_OF_A_SCAN_M = 5e-4, 2e-3
+AT_M = 1e-7
+UNDER_WAY_MS = 600.0
+
+
+def asked_for(peer: Peer, goal: Pose, seconds: float = 0.0) -> Acknowledgement:
+    """The answer to a reference."""
+    return peer.ask(ReferencePose(peer.new_id(), goal, seconds), "a motion")
+
+
+def until_done(watch: StateWatch, request: ReferencePose | ReferencePath) -> list[Watched]:
+    """The STATEs of an accepted motion, from the first that names it to the first that calls it done."""
+    expect_reason(watch.peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion")
+    wanted_id = request.command_id
+    seen = watch.during(30_000.0, until=lambda s: s.motion_done and s.motion_id == wanted_id)
+    require(seen[-1].state.motion_done, "it is not done")
+    return [each for each in seen if each.state.motion_id == request.command_id]
+
+
+def height(each: Watched) -> float:
+    """How high the commanded tool is (m)."""
+    return each.state.X_BT_cmd.p_m[2]
+
+
+def require_no_jump(seen: list[Watched], what: str) -> None:
+    """Raises Failed when the commanded position jumps."""
+    jump = max(math.dist(a.state.X_BT_cmd.p_m, b.state.X_BT_cmd.p_m) for a, b in pairwise(seen))
+    require(jump < STEP_OF_A_SCAN_M, f"{what}: the commanded position jumps by {jump * 1e3:.1f} mm")
+
+
+def _took_ms(seen: list[Watched]) -> float:
+    """From the scan that accepted a motion to the one that ended it."""
+    return (seen[-1].scan_ns - seen[0].scan_ns) / MS
+
+
+@case(
+    557,
+    "6.8",
+    "segment_s and dwell_s are kept, at rest at each waypoint",
+    motion=True,
+    needs=OptionalPart.PATHS,
+)
+def path_times(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    middle = moved(scene.here, dz=0.015)
+    seen = until_done(watch, ReferencePath(peer.new_id(), (middle, scene.here), 0.8, 0.4))
+    at_rest = [each for each in seen if math.dist(each.state.X_BT_cmd.p_m, middle.p_m) < AT_M]
+    require(bool(at_rest), "it does not rest at the first waypoint")
+    arrives = (at_rest[0].scan_ns - seen[0].scan_ns) / MS
+    rests = (at_rest[-1].scan_ns - at_rest[0].scan_ns) / MS
+    leaves = (seen[-1].scan_ns - at_rest[-1].scan_ns) / MS
+    require(abs(arrives - 800.0) < LATE_MS, f"there after {arrives:.0f} ms, asked for 800")
+    require(abs(rests - 400.0) < LATE_MS, f"it rests for {rests:.0f} ms, asked for 400")
+    ends = min(abs(leaves - 800.0), abs(leaves - 1200.0))
+    require(ends < LATE_MS, f"the second segment takes {leaves:.0f} ms, asked for 800")
+    for each in seen[:-1]:
+        segment = 0 if each.scan_ns < at_rest[0].scan_ns else 1
+        near = math.dist(each.state.X_BT_cmd.p_m, middle.p_m) < 1e-4
+        require(near or each.state.segment == segment, f"segment {each.state.segment}, on the way {segment}")
+    require_no_jump(seen, "a path")
+
+
+@case(558, "6.7", "duration_s is the time of the motion", motion=True)
+def takes_its_time(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    for goal, seconds in ((scene.goal, 0.8), (scene.here, 1.2)):
+        took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), goal, seconds)))
+        require(abs(took - 1e3 * seconds) < LATE_MS, f"it took {took:.0f} ms, asked for {1e3 * seconds:g}")
+
+
+@case(559, "6.7", "duration_s of 0 is the shortest time that would have been accepted", motion=True)
+def shortest(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    took = _took_ms(until_done(StateWatch(peer), ReferencePose(peer.new_id(), scene.goal, 0.0)))
+    # The way back is as long; a controller that calls a motion done when the arm has settled adds its lag.
+    shorter = asked_for(peer, scene.here, 0.6 * took * 1e-3)
+    refused = (Reason.TOO_FAST, Reason.BAD_DURATION)
+    require(shorter.reason in refused, f"it took {took:.0f} ms, and 60 % of that is {shorter.reason.name}")
+    longer = asked_for(peer, scene.here, 1.05 * took * 1e-3)
+    expect_reason(longer, Reason.ACCEPTED, f"it took {took:.0f} ms, and 5 % more")
+    peer.command(CommandCode.STOP)
+
+
+@case(560, "6.9", "a new reference replaces the one being followed, without a step of the speed", motion=True)
+def replaces(peer: Peer) -> None:
+    scene = entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    before = watch.during(UNDER_WAY_MS)
+    seen = until_done(watch, ReferencePose(peer.new_id(), scene.here, 1.5))
+    off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.here.p_m)
+    require(off_m < 1e-6, f"it ends {off_m * 1e3:.1f} mm from where it was sent")
+    went_on = max(map(height, seen)) - height(before[-1])
+    require(went_on > RAMP_M, "the speed drops to nothing when a new reference comes")
+    require_no_jump([before[-1], *seen], "a new reference")
+
+
+@case(568, "6.9", "a reference that is refused leaves the motion that is followed as it is", motion=True)
+def refused_in_motion(peer: Peer) -> None:
+    scene = entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    motion_id = peer.state().motion_id
+    seen = watch.during(100.0)
+    nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
+    for bad in (nan, moved(scene.here, dz=50.0)):
+        require(asked_for(peer, bad, 0.0).reason is not Reason.ACCEPTED, f"{bad.p_m} was accepted")
+    seen += watch.during(3000.0, until=lambda state: state.motion_done)
+    last = seen[-1].state
+    require(last.motion_done and last.motion_id == motion_id, "the motion was not driven to its end")
+    require(math.dist(last.X_BT_cmd.p_m, scene.goal.p_m) < 1e-6, "it ends somewhere else")
+    require_no_jump(seen, "refused references")
+
+
+def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
+    """The STATEs from a stop in the middle of a motion to its end; the first is of before."""
+    scene = entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    seen = watch.during(UNDER_WAY_MS)[-1:]
+    require_reason(peer, code, Reason.ACCEPTED, "MOVING")
+    seen += watch.during(3000.0, until=lambda state: state.group_state is end)
+    require(seen[-1].state.group_state is end, f"{code.name} does not lead to {end.name}")
+    driven = [each for each in seen if each.state.group_state is not GroupState.DISABLED]
+    require(height(driven[-1]) - height(seen[0]) > RAMP_M, f"{code.name} stops the arm with a step")
+    require_no_jump(driven, code.name)
+    off_m = math.dist(driven[-1].state.X_BT_cmd.p_m, scene.goal.p_m)
+    require(off_m > 1e-3, "it went on to its goal")
+    return seen
+
+
+@case(569, "7.3", "DISABLE in motion ramps down before it drops the enable, without a fault", motion=True)
+def disabled_in_motion(peer: Peer) -> None:
+    last = _ramp_states(peer, CommandCode.DISABLE, GroupState.DISABLED)[-1].state
+    require(not any(last.valves), f"valves {last.valves}")
+    require(last.fault is FaultCode.NONE, f"fault {last.fault.name}")
+
+
+@case(570, "7.3", "STOP in motion ramps down without a step of the speed, and holds there", motion=True)
+def stop_is_smooth(peer: Peer) -> None:
+    last = _ramp_states(peer, CommandCode.STOP, GroupState.STANDBY)[-1].state
+    require(peer.state().X_BT_cmd == last.X_BT_cmd, "the commanded pose moves on")
+
+
+@case(
+    571, "7.4", "EMERGENCY_STOP in motion: no valve is driven from the scan on that latches it", motion=True
+)
+def centred_at_once(peer: Peer) -> None:
+    entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    watch.during(UNDER_WAY_MS / 2.0)
+    assert peer.welcome is not None
+    sent_ns = peer.now_ns
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    peer.passed_over.clear()
+    seen = watch.during(150.0)
+    latched = [each for each in seen if each.state.flags & FLAG_EMERGENCY_LATCHED]
+    require(bool(latched), "it does not latch")
+    after = (latched[0].scan_ns - sent_ns) / MS
+    limit = 3 * peer.welcome.cycle_ns / MS + LATE_MS
+    require(after < limit, f"latched {after:.0f} ms after it was sent")
+    for each in seen[seen.index(latched[0]) :]:
+        require(not any(each.state.valves), f"valves {each.state.valves} although it is latched")
+        require(bool(each.state.flags & FLAG_EMERGENCY_LATCHED), "the latch is gone")
+
+
+SIDE, SIDE_M, SIDE_RAD = 0.01, 0.01, 0.01
+TRIES = 12
+
+
+def _require(got: Acknowledgement, reason: Reason, limit: float, what: str) -> None:
+    expect_reason(got, reason, what)
+    require(abs(got.limit - limit) < 1e-9, f"{what}: limit {got.limit:g}, before it was {limit:g}")
+
+
+@case(561, "6.7", "a time: both sides of its bounds", motion=True)
+def durations(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
+    for far, inwards in ((1e-6, 1.0 + SIDE), (1e9, 1.0 - SIDE)):
+        got = asked_for(peer, here, far)
+        expect_reason(got, Reason.BAD_DURATION, f"{far:g} s")
+        require(math.isclose(got.value, far), f"{far:g} s: value {got.value:g}")
+        bound = got.limit
+        _require(asked_for(peer, here, bound / inwards), Reason.BAD_DURATION, bound, f"beyond {bound:g} s")
+        within = asked_for(peer, here, bound * inwards)
+        require(within.reason is not Reason.BAD_DURATION, f"within {bound:g} s it is BAD_DURATION")
+    peer.command(CommandCode.STOP)
+
+
+@case(562, "6.8", "the times of a path: both sides of their bounds", motion=True, needs=OptionalPart.PATHS)
+def path_durations(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
+
+    def asked(segment_s: float, dwell_s: float) -> Acknowledgement:
+        return peer.ask(ReferencePath(peer.new_id(), (here,), segment_s, dwell_s), "a path")
+
+    for far, inwards in ((1e-6, 1.0 + SIDE), (1e9, 1.0 - SIDE)):
+        bound = asked(far, 0.0).limit
+        _require(asked(bound / inwards, 0.0), Reason.BAD_DURATION, bound, "segments just beyond")
+        within = asked(bound * inwards, 0.0)
+        require(within.reason is not Reason.BAD_DURATION, "segments just within are BAD_DURATION")
+    for odd in (-0.01, -1e9, 1e9):
+        expect_reason(asked(0.0, odd), Reason.BAD_DURATION, f"a dwell of {odd:g} s")
+    peer.command(CommandCode.STOP)
+
+
+@case(563, "6.9", "a time that is too short for the way: both sides of what is TOO_FAST", motion=True)
+def too_fast(peer: Peer) -> None:
+    goal = moved(entered(peer, Mode.STANDBY).here, dz=0.06)
+    seconds = asked_for(peer, goal, 1e-6).limit * (1.0 + SIDE)
+    for _ in range(TRIES):
+        got = asked_for(peer, goal, seconds)
+        expect_reason(got, Reason.TOO_FAST, f"60 mm in {seconds:g} s")
+        require(got.value > got.limit > 0.0, f"value {got.value:g}, limit {got.limit:g}")
+        ratio = got.value / got.limit
+        if ratio < 1.0 + 4 * SIDE:
+            break
+        # Speeds go with 1/T, accelerations with 1/T²: the root asks for nothing within the limits.
+        seconds *= math.sqrt(ratio) * (1.0 - SIDE)
+    require(ratio < 1.0 + 4 * SIDE, "the values of TOO_FAST lead nowhere")
+    expect_reason(
+        asked_for(peer, goal, seconds * ratio * (1.0 + SIDE)), Reason.ACCEPTED, "a little more time"
+    )
+    peer.command(CommandCode.STOP)
+
+
+@case(564, "6.9", "a first pose that is too far: both sides of its limit, where there is one", motion=True)
+def too_far(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
+    got = asked_for(peer, moved(here, dz=100.0))
+    if got.reason is not Reason.TOO_FAR:
+        raise Unsupported(f"100 m away is {got.reason.name}: this controller has no such limit")
+    require(abs(got.value - 100.0) < 1e-3, f"100 m away is said to be {got.value:g}")
+    limit = got.limit
+    beyond = limit * (1.0 + SIDE)
+    got = asked_for(peer, moved(here, dz=beyond))
+    _require(got, Reason.TOO_FAR, limit, f"{beyond:g} m away")
+    require(abs(got.value - beyond) < 1e-3, f"{beyond:g} m away is said to be {got.value:g}")
+    got = asked_for(peer, moved(here, dz=limit * (1.0 - SIDE)))
+    require(got.reason is not Reason.TOO_FAR, "within the limit it is TOO_FAR")
+    peer.command(CommandCode.STOP)
+
+
+@case(565, "6.9", "the workspace: both sides of the bound below", motion=True)
+def workspace(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
+    for down in (2.5, 2.0, 1.5, 5.0, 10.0):
+        got = asked_for(peer, moved(here, dz=-down))
+        if got.reason is Reason.OUTSIDE_WORKSPACE:
+            break
+    if got.reason is not Reason.OUTSIDE_WORKSPACE:
+        raise Unsupported(f"straight down it is not the workspace that ends: {got.reason.name}")
+    bound, height = got.limit, here.p_m[2]
+    require(got.value < bound < height, f"value {got.value:g}, bound {bound:g}, the tool at {height:g} m")
+    got = asked_for(peer, moved(here, dz=bound - SIDE_M - height))
+    _require(got, Reason.OUTSIDE_WORKSPACE, bound, "just below the bound")
+    require(bound - 2 * SIDE_M < got.value < bound, f"just below the bound: value {got.value:g}")
+    got = asked_for(peer, moved(here, dz=bound + SIDE_M - height))
+    require(got.reason is not Reason.OUTSIDE_WORKSPACE, "just above the bound it is OUTSIDE_WORKSPACE")
+    peer.command(CommandCode.STOP)
+
+
+@case(566, "6.9", "the range of the last joint: both sides of its bound", motion=True)
+def joint_limit(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
+    joint = peer.state().q_meas[5]
+    got = asked_for(peer, turned(here, 3.0))
+    if got.reason is not Reason.JOINT_LIMIT:
+        raise Unsupported(f"a turn of 3 rad about the last joint's axis is {got.reason.name}")
+    bound = got.limit
+    require(abs(got.value) > abs(bound), f"value {got.value:g}, bound {bound:g}")
+    left = abs(bound - joint)
+    got = asked_for(peer, turned(here, left + SIDE_RAD))
+    _require(got, Reason.JOINT_LIMIT, bound, "just beyond the bound")
+    require(abs(got.value - bound) < 2 * SIDE_RAD, f"just beyond the bound: value {got.value:g}")
+    expect_reason(asked_for(peer, turned(here, left - SIDE_RAD)), Reason.ACCEPTED, "just within the bound")
+    peer.command(CommandCode.STOP)
+
+
+@case(567, "6.9", "a singularity: refused from the value on that the refusal names", motion=True)
+def singular(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
+    about = (1.0, 0.0, 0.0)
+
+    def at(degrees: float) -> Acknowledgement:
+        return asked_for(peer, turned(here, math.radians(degrees), about))
+
+    tried = [side * 2.5 * step for step in range(1, 19) for side in (-1.0, 1.0)]
+    refused = next((each for each in tried if at(each).reason is Reason.SINGULAR), None)
+    if refused is None:
+        raise Unsupported("no singularity within 45° of the tool's pitch")
+    within, beyond, edge = refused - math.copysign(2.5, refused), refused, at(refused)
+    for _ in range(TRIES):
+        middle = (within + beyond) / 2.0
+        got = at(middle)
+        require(got.reason in (Reason.ACCEPTED, Reason.SINGULAR), f"{middle:g}°: {got.reason.name}")
+        if got.reason is Reason.SINGULAR:
+            beyond, edge = middle, got
+        else:
+            within = middle
+    peer.command(CommandCode.STOP)
+    require(edge.value < edge.limit, f"value {edge.value:g}, limit {edge.limit:g}")
+    said = f"accepted until {edge.value:g}, the limit is said to be {edge.limit:g}"
+    require(edge.value > 0.9 * edge.limit, said)

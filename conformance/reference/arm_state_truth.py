@@ -1,0 +1,287 @@
+"""STATEs on the tester's clock, by the offset that heartbeats bound (5.5); and poses turned."""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from statistics import median
+from typing import NamedTuple
+
+from conformance.case import reference
+from conformance.peer import Peer
+from conformance.reference.arm_transitions import entered, is_ramping
+from conformance.reference.motion import disabled, expect_reason, reach, require_reason
+from conformance.reference.streaming import BOTH
+from conformance.wire import MS, require
+from protocol.axes_group import Mode
+from protocol.clock_offset import ClockOffset
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
+from protocol.pose import Pose
+from protocol.reference_messages import FLAG_PLANT_LINK_OK, FLAG_SETTLED, ReferencePose, State
+
+_ECHOES = 12
+
+
+class Watched(NamedTuple):
+    """A STATE with the instants (ns, tester's clock) of its scan and of its arrival."""
+
+    scan_ns: int
+    came_ns: int
+    state: State
+
+    @property
+    def age_ms(self) -> float:
+        """How old it was when it came."""
+        return (self.came_ns - self.scan_ns) / MS
+
+
+class StateWatch:
+    """STATEs of a peer on the tester's clock; to be made with the session open."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        clock = ClockOffset()
+        for _ in range(_ECHOES):
+            reply = peer.alive("a heartbeat")
+            clock.add(reply.sent_ns, reply.received_ns, reply.replied_ns, peer.now_ns)
+        found = clock.estimate(peer.now_ns)
+        require(found is not None, "no offset fits the echoes of the heartbeats")
+        assert found is not None
+        self.offset_ns = found.offset_ns
+        self.uncertainty_ms = found.uncertainty_ns / MS
+
+    def next(self, wait_ms: float = 500.0) -> Watched:
+        """The next STATE; raises Failed when none comes."""
+        state = self.peer.expect(State, "STATE", wait_ms)
+        return Watched(state.time_ns - self.offset_ns, self.peer.now_ns, state)
+
+    def during(self, wait_ms: float, until: Callable[[State], bool] = lambda state: False) -> list[Watched]:
+        """The STATEs of ``wait_ms``, or until one, the last, is as wanted."""
+        seen: list[Watched] = []
+        until_ns = self.peer.now_ns + int(wait_ms * MS)
+        while self.peer.now_ns < until_ns:
+            seen.append(self.next())
+            if until(seen[-1].state):
+                break
+        return seen
+
+
+def angle_between(a: Sequence[float], b: Sequence[float]) -> float:
+    """The angle (rad) of the turn between two unit quaternions."""
+    return 2.0 * math.acos(min(1.0, abs(sum(x * y for x, y in zip(a, b, strict=True)))))
+
+
+def turned(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
+    """``pose`` turned by ``angle`` (rad) about an axis of its own T, by default the last joint's."""
+    s = math.sin(angle / 2.0)
+    return pose._replace(q_wxyz=_product(pose.q_wxyz, (math.cos(angle / 2.0), *(s * c for c in axis))))
+
+
+def turned_in_base(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
+    """``pose`` turned by ``angle`` (rad) about an axis of B."""
+    s = math.sin(angle / 2.0)
+    return pose._replace(q_wxyz=_product((math.cos(angle / 2.0), *(s * c for c in axis)), pose.q_wxyz))
+
+
+Quaternion = tuple[float, float, float, float]
+
+
+def _product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
+    w, x, y, z = a
+    p, q, r, s = b
+    return (
+        w * p - x * q - y * r - z * s,
+        w * q + x * p + y * s - z * r,
+        w * r - x * s + y * p + z * q,
+        w * s + x * r - y * q + z * p,
+    )
+
+
+case = reference.case
+# What a busy machine adds to the age of a STATE; half of them are younger than with the smaller one.
+LATE_MS, OFTEN_LATE_MS = 30.0, 3.0
+# Of what follows the measurement in the same scan: two digits of an encoder, and a rounding.
+SAME_RAD, SAME_M = 1e-4, 1e-6
+SETTLES_MS = 15_000.0
+# A measurement may be ahead of its command now and then; one that mostly is, is the command.
+MOSTLY = 0.5
+
+
+@case(511, "7.7", "STATE is of the present: a scan old when it comes")
+def present(peer: Peer) -> None:
+    cycle_ms = peer.open(period_ms=0).cycle_ns / MS
+    watch = StateWatch(peer)
+    ages = [each.age_ms for each in watch.during(400.0)]
+    require(min(ages) > -watch.uncertainty_ms - 1.0, f"STATE is {-min(ages):.1f} ms from the future")
+    require(median(ages) < cycle_ms + OFTEN_LATE_MS + watch.uncertainty_ms, f"{median(ages):.1f} ms old")
+    require(max(ages) < cycle_ms + LATE_MS + watch.uncertainty_ms, f"up to {max(ages):.1f} ms old")
+
+
+@case(512, "7.7", "STATE counts: lateness in order, overruns never fall, the supply has a pressure")
+def counts(peer: Peer) -> None:
+    peer.open(period_ms=0)
+    states = [each.state for each in StateWatch(peer).during(200.0)]
+    for a, b in pairwise(states):
+        require(b.overruns >= a.overruns, "overruns fell")
+        require(b.lateness_max_us >= a.lateness_max_us, "the greatest lateness fell")
+        require(b.plant_exchange_failures >= a.plant_exchange_failures, "failed exchanges fell")
+        ordered = b.lateness_p50_us <= b.lateness_p99_us <= b.lateness_max_us
+        require(ordered, "the median, the 99th percentile and the greatest lateness are not in order")
+    state = states[-1]
+    if state.flags & FLAG_PLANT_LINK_OK:
+        require(1.0 < state.supply_bar < 1000.0, f"a supply pressure of {state.supply_bar:g} bar")
+
+
+def _require_following(states: Sequence[State]) -> None:
+    for state in states:
+        off = max(abs(c - m) for c, m in zip(state.q_cmd, state.q_meas, strict=True))
+        require(off < SAME_RAD, f"q_cmd is {off * 1e3:.2f} mrad from q_meas although nothing is driven")
+        off = math.dist(state.X_BT_cmd.p_m, state.X_BT.p_m)
+        require(off < SAME_M, f"X_BT_cmd is {off * 1e3:.2f} mm from X_BT although nothing is driven")
+
+
+@case(513, "7.7", "while the valves are not driven the command follows the measurement", motion=True)
+def follows_measurement(peer: Peer) -> None:
+    entered(peer, Mode.MOVING)
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    peer.state()
+    watch = StateWatch(peer)
+    _require_following([each.state for each in watch.during(500.0)])
+    require_reason(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    reach(peer, GroupState.DISABLED, "after RESET")
+    _require_following([each.state for each in watch.during(300.0)])
+
+
+@case(514, "7.6", "the first fault stays latched, the gravest severity is shown, until RESET", motion=True)
+def first_fault(peer: Peer) -> None:
+    def shows(severity: Severity, when: str) -> None:
+        state = peer.state()
+        require(state.fault is FaultCode.REFERENCE_LINK_LOST, f"fault {state.fault.name} {when}")
+        require(state.severity is severity, f"severity {state.severity.name} {when}")
+
+    entered(peer, Mode.ERROR_RAMP)
+    until_ns = peer.now_ns + 3000 * MS
+    while is_ramping(peer.state()) and peer.now_ns < until_ns:
+        pass
+    shows(Severity.STOP, "after a motion whose session ended")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "error")
+    shows(Severity.EMERGENCY, "after EMERGENCY_STOP")
+    peer.leave()
+    peer.open(capabilities=BOTH, period_ms=0)
+    shows(Severity.EMERGENCY, "in a new session")
+    require_reason(peer, CommandCode.EMERGENCY_RELEASE, Reason.ACCEPTED, "emergency")
+    shows(Severity.EMERGENCY, "after EMERGENCY_RELEASE")
+    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    state = peer.state()
+    cleared = (state.fault, state.severity) == (FaultCode.NONE, Severity.NONE)
+    require(cleared, f"{state.fault.name}, {state.severity.name} after RESET")
+
+
+@case(515, "7.6", "EMERGENCY_STOP without a fault before it is the fault, with its severity")
+def emergency_is_the_fault(peer: Peer) -> None:
+    disabled(peer)
+    before = peer.state()
+    require(before.severity is Severity.NONE, f"severity {before.severity.name} without a fault")
+    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "DISABLED")
+    peer.leave()
+    peer.open(period_ms=20)
+    state = peer.state()
+    require(state.fault is FaultCode.EMERGENCY_STOP, f"fault {state.fault.name} in a new session")
+    require(state.severity is Severity.EMERGENCY, f"severity {state.severity.name} in a new session")
+
+
+def _drive_to(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[Watched]]:
+    """The id of a motion to ``goal``, and its STATEs until it is done."""
+    peer = watch.peer
+    request = ReferencePose(peer.new_id(), goal, seconds)
+    expect_reason(peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion")
+    peer.drain()
+    seen = watch.during(seconds * 1e3 + SETTLES_MS, until=lambda state: state.motion_done)
+    require(seen[-1].state.motion_done, "it is not done")
+    return request.command_id, seen
+
+
+@case(516, "7.8", "motion_done is 0 until the motion has ended, then 1; a refusal leaves it", motion=True)
+def done_at_its_end(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    motion_id, seen = _drive_to(watch, scene.goal, 0.8)
+    for each in seen[:-1]:
+        require(each.state.motion_id == motion_id, "motion_id is not the motion's")
+        require(not each.state.flags & FLAG_SETTLED, "SETTLED while it moves")
+        require(each.state.group_state is GroupState.MOVING, f"{each.state.group_state.name} while it moves")
+    off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.goal.p_m)
+    require(off_m < 1e-6, f"done {off_m * 1e3:.2f} mm before its end")
+    require(all(each.state.motion_done for each in watch.during(300.0)), "motion_done is taken back")
+    _, seen = _drive_to(watch, scene.here, 0.8)
+    off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.here.p_m)
+    require(off_m < 1e-6, f"the next one is done {off_m * 1e3:.2f} mm before its end")
+    nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
+    answer = peer.ask(ReferencePose(peer.new_id(), nan, 0.0), "NaN")
+    expect_reason(answer, Reason.NOT_FINITE, "NaN")
+    state = peer.state()
+    require(state.motion_done and state.motion_id == seen[-1].state.motion_id, "a refusal changed the motion")
+
+
+@case(517, "7.8", "a motion that was stopped is not done, and SETTLED says that the arm rests", motion=True)
+def stopped_is_not_done(peer: Peer) -> None:
+    entered(peer, Mode.STOPPING)
+    seen = StateWatch(peer).during(SETTLES_MS, until=lambda state: bool(state.flags & FLAG_SETTLED))
+    require(bool(seen[-1].state.flags & FLAG_SETTLED), "it does not settle after STOP")
+    require(not any(each.state.motion_done for each in seen), "done although it was stopped")
+    require_reason(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
+    require(not peer.state().flags & FLAG_SETTLED, "SETTLED although it is disabled")
+
+
+def _leads(ahead: Sequence[int]) -> bool:
+    """Whether the command is not behind (−1) the measurement most of the times that they differ."""
+    return sum(ahead) >= -MOSTLY * sum(map(abs, ahead))
+
+
+@case(518, "7.7", "in motion the measurement follows the command, and the valves drive it", motion=True)
+def measured_follows(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    begin = peer.state()
+    _, seen = _drive_to(watch, scene.goal, 1.2)
+    states = [each.state for each in (*seen, *watch.during(300.0))]
+    last = states[-1]
+    joint = max(range(6), key=lambda j: abs(last.q_cmd[j] - begin.q_cmd[j]))
+    on_its_way = states[: max(len(states) // 2, 4)]
+    ahead = [
+        (abs(s.q_cmd[joint] - begin.q_cmd[joint]) > abs(s.q_meas[joint] - begin.q_meas[joint]))
+        - (abs(s.q_cmd[joint] - begin.q_cmd[joint]) < abs(s.q_meas[joint] - begin.q_meas[joint]))
+        for s in on_its_way
+    ]
+    require(_leads(ahead), "q_meas is ahead of q_cmd")
+    ahead = [(s.X_BT_cmd.p_m[2] > s.X_BT.p_m[2]) - (s.X_BT_cmd.p_m[2] < s.X_BT.p_m[2]) for s in on_its_way]
+    require(_leads(ahead), "X_BT is ahead of X_BT_cmd")
+    require(abs(last.q_meas[joint] - begin.q_meas[joint]) > 1e-3, "q_meas does not move with the arm")
+    require(abs(last.X_BT.p_m[2] - begin.X_BT.p_m[2]) > 0.01, "X_BT does not move with the arm")
+    for s in states:
+        off = max(abs(c - m) for c, m in zip(s.q_cmd, s.q_meas, strict=True))
+        require(off < 0.1, f"q_cmd and q_meas are {off:.3f} rad apart")
+    require(any(s.flags & FLAG_PLANT_LINK_OK for s in states), "it moves although PLANT_LINK_OK is not set")
+    drive = sum(s.valves[joint] for s in states) * (last.q_cmd[joint] - begin.q_cmd[joint])
+    require(drive > 0.0, f"the valve of joint {joint + 1} does not drive it where it goes")
+
+
+@case(540, "7.5", "a silent link in STANDBY drops the enable without a fault", motion=True)
+def unattended(peer: Peer) -> None:
+    entered(peer, Mode.STANDBY)
+    peer.collect(peer.timeout_ms + 100, beating=False)
+    peer.session = 0
+    peer.open(period_ms=0)
+    state = peer.state()
+    require(state.group_state is GroupState.DISABLED, f"{state.group_state.name} after a silent link")
+    require(state.fault is FaultCode.NONE, f"fault {state.fault.name}")
+    require(not any(state.valves), f"valves {state.valves}")
+
+
+@case(519, "7.5", "BYE while DISABLING: the ramp is finished, and nothing is latched", motion=True)
+def ends_while_disabling(peer: Peer) -> None:
+    entered(peer, Mode.DISABLING)
+    peer.leave()
+    peer.open(capabilities=BOTH, period_ms=0)
+    state = reach(peer, GroupState.DISABLED, "after BYE while DISABLING", 3000)
+    require(state.fault is FaultCode.NONE, f"fault {state.fault.name}")

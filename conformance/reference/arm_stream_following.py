@@ -1,0 +1,246 @@
+"""Cases 573, 575, 577…579, 586, 588 and 589: how streamed references are followed (12.3, 12.4, 12.7, 12.10).
+
+A reference that moves is judged where it is at the instant of a STATE's scan, on the tester's clock.
+"""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+from conformance.case import reference
+from conformance.parts import OptionalPart
+from conformance.peer import Peer
+from conformance.reference.arm_state_truth import StateWatch, Watched, angle_between, turned_in_base
+from conformance.reference.arm_transitions import entered, opened_stream
+from conformance.reference.motion import moved, reach, require_reason
+from conformance.reference.streaming import NUMBERS, Stream
+from conformance.wire import MS, Unsupported, require
+from protocol.axes_group import Mode
+from protocol.faults import CommandCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import FLAG_STREAMING, StreamRefused
+
+case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
+Axes = tuple[float, float, float]
+SPEED_M_S = 0.05
+RISING: Axes = (0.0, 0.0, SPEED_M_S)
+TURNING: Axes = (0.0, 0.0, 0.06)
+AT_REST: Axes = (0.0, 0.0, 0.0)
+PERIOD_MS = 25.0
+# Two scans of 5 ms and what a busy machine adds, in time; what is met without its velocity lags by 6 mm.
+BEHIND_MS = 25.0
+# It is met within this time, from rest: a page that bounds speed and acceleration bounds no time.
+MET_MS = 1200.0
+RECOVERY_MS, LONG_GAP_MS = 100.0, 83.0
+# Between references: most of the silence that is survived at full pace.
+GAP_MS = 65.0
+ACCELERATION_M_S2, JERK_M_S3 = 0.35, 3.0
+
+
+class MovingReference(NamedTuple):
+    """A reference that moves and turns in B, from ``begin`` at ``begin_ns`` (tester's clock)."""
+
+    begin: Pose
+    begin_ns: int
+    velocity: Axes
+    turning: Axes
+
+    @property
+    def speed(self) -> float:
+        """How fast it moves (m/s)."""
+        return math.hypot(*self.velocity)
+
+    @property
+    def turn(self) -> float:
+        """How fast it turns (rad/s)."""
+        return math.hypot(*self.turning)
+
+    def at(self, at_ns: int) -> Pose:
+        """Where it is."""
+        seconds = (at_ns - self.begin_ns) * 1e-9
+        there = moved(self.begin, *(v * seconds for v in self.velocity))
+        if self.turn == 0.0:
+            return there
+        x, y, z = (w / self.turn for w in self.turning)
+        return turned_in_base(there, self.turn * seconds, (x, y, z))
+
+    def give(self, stream: Stream, age_ms: float = 0.0) -> None:
+        """Sends it, as it was ``age_ms`` ago."""
+        at_ns = stream.peer.now_ns - int(age_ms * MS)
+        stream.give(self.at(at_ns), time_ns=at_ns, twist_ref=(*self.velocity, *self.turning))
+
+    def feed(self, stream: Stream, watch: StateWatch, wait_ms: float, age_ms: float = 0.0) -> list[Watched]:
+        """Sends it for ``wait_ms``; the STATEs that came meanwhile."""
+        seen: list[Watched] = []
+        until_ns = stream.peer.now_ns + int(wait_ms * MS)
+        while stream.peer.now_ns < until_ns:
+            self.give(stream, age_ms)
+            seen += watch.during(PERIOD_MS)
+        refused = [d.message for d in stream.peer.passed_over if isinstance(d.message, StreamRefused)]
+        require(not refused, f"a moving reference was refused: {refused[:1]}")
+        return seen
+
+
+def _begin_stream(
+    peer: Peer, velocity: Axes, turning: Axes = AT_REST
+) -> tuple[Stream, StateWatch, MovingReference]:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    stream = opened_stream(peer)
+    peer.passed_over.clear()
+    return stream, watch, MovingReference(scene.here, peer.now_ns, velocity, turning)
+
+
+def _require_met(seen: list[Watched], target: MovingReference) -> None:
+    for each in seen:
+        wanted_pose = target.at(each.scan_ns)
+        off_m = math.dist(each.state.X_BT_cmd.p_m, wanted_pose.p_m)
+        off_rad = angle_between(each.state.X_BT_cmd.q_wxyz, wanted_pose.q_wxyz)
+        require(off_m < target.speed * BEHIND_MS * 1e-3, f"{off_m * 1e3:.1f} mm from the reference")
+        require(
+            off_rad <= target.turn * BEHIND_MS * 1e-3 + 1e-4, f"{off_rad * 1e3:.1f} mrad from the reference"
+        )
+
+
+def _followed_with_velocity(peer: Peer, velocity: Axes, turning: Axes, age_ms: float) -> None:
+    stream, watch, target = _begin_stream(peer, velocity, turning)
+    target.feed(stream, watch, MET_MS, age_ms)
+    _require_met(target.feed(stream, watch, 300.0, age_ms), target)
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(577, "12.7", "a reference that moves is met, and followed with its own velocity")
+def with_its_velocity(peer: Peer) -> None:
+    _followed_with_velocity(peer, RISING, TURNING, 0.0)
+
+
+@case(578, "12.7", "a reference that moves has gone on since the instant that it rests on")
+def since_its_instant(peer: Peer) -> None:
+    # In every direction another speed: one that is taken for another is off by several millimetres.
+    _followed_with_velocity(peer, (-0.02, 0.04, -0.05), (0.03, -0.03, -0.06), 120.0)
+
+
+def _furthest(seconds: float) -> float:
+    """The longest way (m) from rest within ``seconds`` that jerk and acceleration allow."""
+    rise = min(seconds, ACCELERATION_M_S2 / JERK_M_S3)
+    rest = seconds - rise
+    at_rise = JERK_M_S3 * rise**2 / 2.0 * rest
+    return JERK_M_S3 * rise**3 / 6.0 + at_rise + ACCELERATION_M_S2 * rest**2 / 2.0
+
+
+@case(579, "12.7", "it sets out with bounded acceleration and jerk")
+def sets_out_smoothly(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    assert peer.welcome is not None
+    watch = StateWatch(peer)
+    stream = opened_stream(peer)
+    seen = []
+    for _ in range(12):
+        stream.give(moved(scene.here, dx=-0.05, dy=0.05, dz=0.05))  # the vector is bounded: all axes move
+        seen += watch.during(PERIOD_MS)
+    still = [each for each in seen if each.state.X_BT_cmd == scene.here]
+    going = [each for each in seen if each.state.X_BT_cmd != scene.here]
+    require(bool(going), "it does not set out")
+    begin_ns = still[-1].scan_ns if still else going[0].scan_ns - peer.welcome.cycle_ns
+    for each in going:
+        seconds = (each.scan_ns - begin_ns + peer.welcome.cycle_ns) * 1e-9 + 2e-3
+        way = math.dist(each.state.X_BT_cmd.p_m, scene.here.p_m)
+        most = _furthest(seconds)
+        said = f"{way * 1e3:.2f} mm within {seconds * 1e3:.0f} ms, at most {most * 1e3:.2f}"
+        require(way < most + 1e-6, said)
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(573, "12.8", f"a reference every {GAP_MS:g} ms is followed at full pace")
+def gaps(peer: Peer) -> None:
+    stream, watch, target = _begin_stream(peer, RISING)
+    target.feed(stream, watch, MET_MS)
+    for _ in range(6):
+        target.give(stream)
+        seen = watch.during(GAP_MS)
+        for each in seen:
+            require(each.state.group_state is GroupState.MOVING, f"fault {each.state.fault.name}")
+            require(bool(each.state.flags & FLAG_STREAMING), "the stream has ended")
+        _require_met(seen, target)
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(575, "12.8", f"after {LONG_GAP_MS:g} ms of silence a reference is followed again, soon at full pace")
+def recovers(peer: Peer) -> None:
+    for _ in range(4):
+        stream, watch, target = _begin_stream(peer, RISING)
+        seen = target.feed(stream, watch, 600.0)
+        target.give(stream)
+        seen = watch.during(LONG_GAP_MS)
+        sent_ns = peer.now_ns
+        for _ in range(10):
+            target.give(stream)
+            seen += watch.during(PERIOD_MS)
+        if any(each.state.group_state is not GroupState.MOVING for each in seen):
+            continue  # the tester was late: the silence was longer than it should have been
+        require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+        _require_recovery(seen, sent_ns)
+        return
+    raise Unsupported("the tester is too late to be silent for so short a time")
+
+
+def _require_recovery(seen: list[Watched], sent_ns: int) -> None:
+    def speed(begin_ms: float, end_ms: float) -> float:
+        """Mean speed between two times after the reference that was followed again (m/s)."""
+        part = [each for each in seen if begin_ms <= (each.scan_ns - sent_ns) / MS <= end_ms]
+        seconds = (part[-1].scan_ns - part[0].scan_ns) * 1e-9
+        return math.dist(part[0].state.X_BT_cmd.p_m, part[-1].state.X_BT_cmd.p_m) / seconds
+
+    dip, back = speed(-5.0, 25.0), speed(RECOVERY_MS - 15.0, RECOVERY_MS + 15.0)
+    require(dip < 0.8 * SPEED_M_S, f"{dip * 1e3:.0f} mm/s: it was not slowed down by the silence")
+    require(back > 0.9 * SPEED_M_S, f"{back * 1e3:.0f} mm/s {RECOVERY_MS:g} ms later: not at full pace")
+
+
+@case(586, "12.3", "of a burst the newest is followed, the others have no answer; lost ones are not missed")
+def burst(peer: Peer) -> None:
+    scene = entered(peer, Mode.STREAMING)
+    assert scene.stream is not None
+    stream = scene.stream
+    for lost in (0, 3, 1, 40):
+        stream.number = (stream.number + lost) % NUMBERS
+        peer.passed_over.clear()
+        for _ in range(8):
+            stream.give(scene.goal)
+        newest = (stream.number - 1) % NUMBERS
+        shown = [each.state.stream_number for each in StateWatch(peer).during(60.0)]
+        require(newest in shown, f"the newest of a burst is not followed, {lost} lost before it")
+        answers = [d.message for d in peer.passed_over if isinstance(d.message, StreamRefused)]
+        require(not answers, f"one of a burst was refused: {answers[:1]}")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(588, "12.10", "END_STREAM rests where a moving reference was when it was last accepted")
+def ends_at_its_last_place(peer: Peer) -> None:
+    stream, watch, target = _begin_stream(peer, (0.0, 0.0, -SPEED_M_S))
+    target.feed(stream, watch, 600.0)
+    target.give(stream)
+    last_ns = peer.now_ns
+    peer.collect(15.0)
+    require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
+    state = reach(peer, GroupState.STANDBY, "after END_STREAM", 10_000)
+    off_m = math.dist(state.X_BT_cmd.p_m, target.at(last_ns).p_m)
+    require(off_m < SPEED_M_S * BEHIND_MS * 1e-3, f"{off_m * 1e3:.1f} mm from where the reference was")
+
+
+@case(589, "12.4", "what is refused takes no number, and the one before stays in force")
+def refused_has_no_effect(peer: Peer) -> None:
+    scene = entered(peer, Mode.STREAMING)
+    assert scene.stream is not None
+    stream, number = scene.stream, scene.stream.number - 1
+    nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
+    for bad, reason in ((nan, Reason.NOT_FINITE), (moved(scene.here, dz=100.0), Reason.TOO_FAR)):
+        stream.refused(bad, reason, f"{bad.p_m}")
+        require(peer.state().stream_number == number, "stream_number names one that was refused")
+        stream.number = number + 1
+        stream.feed(scene.goal, PERIOD_MS)
+        number = stream.number - 1
+    stream.refused(nan, Reason.NOT_FINITE, "NaN")
+    stream.feed(scene.goal, 1200.0)
+    off_m = math.dist(peer.state().X_BT_cmd.p_m, scene.goal.p_m)
+    require(off_m < 1e-4, f"{off_m * 1e3:.1f} mm from the reference that stayed in force")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")

@@ -1,0 +1,302 @@
+"""Cases 572, 574, 576 and 587: when a stream is slowed down and stopped (12.8 to 12.10).
+
+Times are judged on the tester's clock: from the sending of a reference to the scan of a STATE.
+"""
+
+import math
+from functools import partial
+from itertools import pairwise
+from typing import Any
+
+from conformance.case import reference
+from conformance.parts import OptionalPart
+from conformance.peer import Peer
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_transitions import entered, opened_stream
+from conformance.reference.motion import moved, reach, require_reason, scaled
+from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream
+from conformance.wire import MS, require
+from protocol.axes_group import Mode
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import FLAG_STREAMING, State, StreamRefused
+
+case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
+FIRST_REFERENCE_MS, RAMP_MS = 1000.0, 12.0
+# What a busy machine adds: a scan of 5 ms. The controller's own figures leave 7 ms more to the 100 of 12.8.
+LATE_MS = 5.0
+FEED_MS = 10.0
+
+
+def followed(peer: Peer, metres: float = 0.02) -> tuple[Stream, StateWatch, Pose]:
+    """A stream that is on its way up by ``metres``, a watch, and the pose that it is sent to."""
+    scene = entered(peer, Mode.STREAMING)
+    assert scene.stream is not None
+    goal = moved(scene.here, dz=metres)
+    scene.stream.feed(goal, FEED_MS)
+    watch = StateWatch(peer)
+    scene.stream.feed(goal, 150.0)
+    return scene.stream, watch, goal
+
+
+def given(stream: Stream, pose: Pose) -> int:
+    """When the next reference was sent (ns)."""
+    sent_ns = stream.peer.now_ns
+    stream.give(pose)
+    return sent_ns
+
+
+def _is_over(state: State) -> bool:
+    return state.group_state is GroupState.ERROR_STOP and not any(state.valves)
+
+
+def _silent_ms(seen: list[Watched], sent_ns: int) -> list[tuple[float, Watched]]:
+    return [((each.scan_ns - sent_ns) / MS, each) for each in seen]
+
+
+@case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
+def silence_stops(peer: Peer) -> None:
+    stream, watch, goal = followed(peer)
+    assert peer.welcome is not None
+    cycle_ms = peer.welcome.cycle_ns / MS
+    sent_ns = given(stream, goal)
+    seen = _silent_ms(watch.during(2000.0, until=_is_over), sent_ns)
+    after, last = seen[-1]
+    require(_is_over(last.state), "the arm was not stopped within 2 s of silence")
+    require(last.state.fault is FaultCode.REFERENCE_STALE, f"fault {last.state.fault.name}")
+    require(not last.state.flags & FLAG_STREAMING, "the flag STREAMING is still set")
+    uncertain = watch.uncertainty_ms
+    require(after < SILENCE_MS + LATE_MS + uncertain, f"centred only {after:.1f} ms after the last reference")
+    earliest = SILENCE_MS - 2 * cycle_ms - 2.0
+    # The scan decides after the encoders were read and before STATE comes; only what came too soon is early.
+    came_ms = (last.came_ns - sent_ns) / MS
+    require(came_ms > earliest - 1.0, f"centred already {came_ms:.1f} ms after the last reference")
+    _require_ramp(seen, earliest - RAMP_MS, cycle_ms)
+
+
+def _require_ramp(seen: list[tuple[float, Watched]], begins_ms: float, cycle_ms: float) -> None:
+    """The way from STATE to STATE is shorter in the ramp than before it."""
+    ways = [
+        (at_ms, math.dist(a.state.X_BT_cmd.p_m, b.state.X_BT_cmd.p_m) / max(b.state.cycle - a.state.cycle, 1))
+        for (_, a), (at_ms, b) in pairwise(seen)
+        if b.state.group_state is GroupState.MOVING
+    ]
+    before = [way for at_ms, way in ways if begins_ms - 4 * cycle_ms < at_ms < begins_ms - 1.0]
+    within = [way for at_ms, way in ways if at_ms > begins_ms + 1.0]
+    if before and within:  # scans that came late leave none in between
+        require(within[-1] < 0.8 * max(before), "it is not slowed down before its valves are centred")
+
+
+@case(574, "12.8", f"the first reference is waited for, at rest, for {FIRST_REFERENCE_MS:g} ms")
+def first_reference(peer: Peer) -> None:
+    entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    sent_ns = peer.now_ns
+    opened_stream(peer)
+    at = peer.state().X_BT_cmd
+    seen = _silent_ms(watch.during(2 * FIRST_REFERENCE_MS, until=_is_over), sent_ns)
+    for _, each in seen[:-1]:
+        require(each.state.X_BT_cmd == at, "the commanded pose moves without a reference")
+    after, last = seen[-1]
+    require(_is_over(last.state), f"it still waits after {after:.0f} ms")
+    require(last.state.fault is FaultCode.REFERENCE_STALE, f"fault {last.state.fault.name}")
+    require(abs(after - FIRST_REFERENCE_MS) < 30.0, f"it waited for {after:.0f} ms")
+
+
+@case(576, "12.9", "when the session ends a stream is stopped by its silence, and latches REFERENCE_STALE")
+def session_ends(peer: Peer) -> None:
+    stream, watch, goal = followed(peer)
+    sent_ns = given(stream, goal)
+    peer.collect(FEED_MS)
+    peer.leave()
+    peer.open(capabilities=BOTH, period_ms=0)
+    seen = _silent_ms(watch.during(2000.0, until=_is_over), sent_ns)
+    after, last = seen[-1]
+    require(_is_over(last.state), "the arm was not stopped within 2 s")
+    late = SILENCE_MS + LATE_MS + watch.uncertainty_ms
+    require(len(seen) == 1 or after < late, f"centred only {after:.1f} ms after the last reference")
+    require(last.state.fault is FaultCode.REFERENCE_STALE, f"fault {last.state.fault.name}")
+
+
+@case(587, "12.10", "END_STREAM before any reference rests where it is, and the motion is done")
+def ends_without_reference(peer: Peer) -> None:
+    entered(peer, Mode.STANDBY)
+    stream = opened_stream(peer)
+    at = peer.state().X_BT_cmd
+    require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
+    state = reach(peer, GroupState.STANDBY, "after END_STREAM", 1000)
+    require(math.dist(state.X_BT_cmd.p_m, at.p_m) < 1e-6, "it moved")
+    seen = StateWatch(peer).during(500.0, until=lambda state: state.motion_done)
+    require(seen[-1].state.motion_done, "motion_done does not follow")
+    require(seen[-1].state.motion_id == stream.stream_id, "motion_id is not the stream's")
+
+
+DISTANCE_M, TURN_RAD, AGE_MS = 0.5, math.radians(30.0), 250.0
+SPEED_M_S, TURN_RAD_S = 0.25 * 0.8 / math.sqrt(3.0), math.radians(12.0) * 0.8 / math.sqrt(3.0)
+# A limit's two sides lie this far from it, in parts of it; for an age in ms, for the network and a scan.
+SIDE, AGE_SIDE_MS = 0.01, 20.0
+LIMITS_FEED_MS = 8.0
+# What two clocks that drift by 100 ppm differ by within the 5 s of a case.
+CLOCKS_MS = 0.5
+
+
+def _stream(peer: Peer) -> tuple[Stream, Pose]:
+    """A stream that rests at the pose returned."""
+    scene = entered(peer, Mode.STREAMING)
+    assert scene.stream is not None
+    here = peer.state().X_BT_cmd
+    scene.stream.feed(here, 600.0)
+    return scene.stream, peer.state().X_BT_cmd
+
+
+def verdict(stream: Stream, pose: Pose, **more: Any) -> StreamRefused | None:
+    """The refusal of a reference, or None when it is followed."""
+    peer, number = stream.peer, more.get("number", stream.number)
+    shown_before = number == (stream.number - 1) % NUMBERS
+    stream.give(pose, **more)
+    until_ns = peer.now_ns + 300 * MS
+    while peer.now_ns < until_ns:
+        datagram = peer.receive(50.0)
+        message = datagram.message if datagram else None
+        if isinstance(message, StreamRefused) and message.number == number:
+            return message
+        if isinstance(message, State) and message.stream_number == number and not shown_before:
+            return None
+    require(False, f"reference {number} is neither followed nor refused")
+    raise AssertionError
+
+
+def _require_sides(got: StreamRefused, reason: Reason, asked: float, most: float, what: str) -> float:
+    """The limit that ``got`` names."""
+    require(got.reason is reason, f"{what} of {asked:g}: {got.reason.name}, wanted {reason.name}")
+    require(abs(got.value - asked) < 0.03 * asked, f"{what} of {asked:g} is said to be {got.value:g}")
+    require(0.0 < got.limit <= most * 1.005, f"{what}: a limit of {got.limit:g}, at most {most:g}")
+    return got.limit
+
+
+@case(580, "12.4", "a reference that breaks several rules is refused for the first of them")
+def order(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    newest = (stream.number - 1) % NUMBERS
+    _, y, z = here.p_m
+    spoilt: list[tuple[Reason, dict[str, Any]]] = [
+        (Reason.NOT_STREAMING, {"stream_id": stream.stream_id - 1}),
+        (Reason.OVERTAKEN, {"number": newest}),
+        (Reason.STALE, {"time_ns": peer.now_ns - 10_000 * MS}),
+        (Reason.NOT_FINITE, {"X_BT_ref": here._replace(p_m=(math.nan, y, z + 100.0))}),
+        (Reason.NOT_UNIT_QUATERNION, {"X_BT_ref": scaled(moved(here, dz=100.0), 1.5)}),
+        (Reason.TOO_FAST, {"twist_ref": (0.0, 50.0, 0.0, 0.0, 0.0, 0.0)}),
+        (Reason.TOO_FAR, {"X_BT_ref": moved(here, dz=100.0)}),
+    ]
+    spoilt[3][1]["X_BT_ref"] = scaled(spoilt[3][1]["X_BT_ref"], 1.5)
+    for first, (reason, _) in enumerate(spoilt):
+        fields: dict[str, Any] = {}
+        for _, more in reversed(spoilt[first:]):
+            fields |= more
+        got = verdict(stream, fields.pop("X_BT_ref"), **fields)
+        require(got is not None, f"what should be {reason.name} is followed")
+        assert got is not None
+        require(got.reason is reason, f"what should be {reason.name} first is {got.reason.name}")
+        stream.feed(here, LIMITS_FEED_MS)
+        spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
+def distance(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    limit = _require_sides(
+        _refusal_of(stream, moved(here, dz=100.0)), Reason.TOO_FAR, 100.0, DISTANCE_M, "a distance"
+    )
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(
+        _refusal_of(stream, moved(here, dx=-beyond)), Reason.TOO_FAR, beyond, DISTANCE_M, "a distance"
+    )
+    inside = verdict(stream, moved(here, dx=-limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
+    stream.feed(here, LIMITS_FEED_MS)
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
+    got = verdict(stream, pose, **more)
+    require(got is not None, "it is followed although it is beyond the limit")
+    assert got is not None
+    return got
+
+
+@case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
+def angle(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    limit = _require_sides(_refusal_of(stream, turned(here, 2.0)), Reason.TOO_FAR, 2.0, TURN_RAD, "an angle")
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(_refusal_of(stream, turned(here, beyond)), Reason.TOO_FAR, beyond, TURN_RAD, "an angle")
+    inside = verdict(stream, turned(here, limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
+    stream.feed(here, LIMITS_FEED_MS)
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(583, "12.4", "its own speed, each axis: both sides of its limit")
+def speed(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    for axis in range(6):
+        most = SPEED_M_S if axis < 3 else TURN_RAD_S
+
+        def twist(rate: float, axis: int = axis) -> tuple[float, ...]:
+            return tuple(rate if k == axis else 0.0 for k in range(6))
+
+        got = _refusal_of(stream, here, twist_ref=twist(50.0))
+        limit = _require_sides(got, Reason.TOO_FAST, 50.0, most, f"axis {axis}, a speed")
+        beyond = limit * (1.0 + 2 * SIDE)
+        got = _refusal_of(stream, here, twist_ref=twist(-beyond))
+        _require_sides(got, Reason.TOO_FAST, beyond, most, f"axis {axis}, a speed")
+        inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
+        require(inside is None, f"axis {axis}: refused within its limit: {inside}")
+        stream.feed(here, LIMITS_FEED_MS)
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(584, "12.6", "the age of the measurement: both sides of its limit")
+def age(peer: Peer) -> None:
+    stream, here = _stream(peer)
+
+    def aged(ms: float) -> StreamRefused | None:
+        begin_ns = peer.now_ns
+        got = verdict(stream, here, time_ns=begin_ns - int(ms * MS))
+        if got is not None and got.reason is Reason.STALE:
+            # It left at this age or later, and was judged before its answer came.
+            most_ms = ms + (peer.now_ns - begin_ns) / MS
+            said_ms = got.value * 1e3
+            fits = ms - CLOCKS_MS < said_ms < most_ms + CLOCKS_MS
+            require(fits, f"its age is said to be {said_ms:.2f} ms: it is {ms:.2f} to {most_ms:.2f}")
+        return got
+
+    got = aged(10_000.0)
+    require(got is not None, "10 s old, and followed")
+    assert got is not None
+    limit_ms = 1e3 * _require_sides(got, Reason.STALE, 10.0, AGE_MS * 1e-3, "an age")
+    for nth, ms in enumerate((limit_ms + 2.0, *[limit_ms * 1.5] * 3)):
+        peer.collect(1.3 * nth)  # whenever the next scan is
+        got = aged(ms)
+        require(got is not None and got.reason is Reason.STALE, f"{ms:g} ms old, and not STALE: {got}")
+    stream.feed(here, LIMITS_FEED_MS)
+    got = aged(limit_ms - AGE_SIDE_MS)
+    require(got is None, f"{AGE_SIDE_MS:g} ms within its limit, and refused: {got}")
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+@case(585, "12.5", "numbers may leap by less than half their range, and not by more")
+def leaps(peer: Peer) -> None:
+    stream, here = _stream(peer)
+    for leap in (2, 1000, NUMBERS // 2 - 1):
+        stream.number = (stream.number - 1 + leap) % NUMBERS
+        require(verdict(stream, here) is None, f"a leap of {leap} is refused")
+    newest = (stream.number - 1) % NUMBERS
+    for leap in (NUMBERS // 2, NUMBERS // 2 + 1, NUMBERS - 1, NUMBERS):
+        got = verdict(stream, here, number=(newest + leap) % NUMBERS)
+        require(got is not None and got.reason is Reason.OVERTAKEN, f"a leap of {leap}: {got}")
+        stream.number = (newest + 1) % NUMBERS
+        stream.feed(here, LIMITS_FEED_MS)
+        newest = (stream.number - 1) % NUMBERS
+    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")

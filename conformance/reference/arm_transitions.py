@@ -1,0 +1,247 @@
+"""How each mode of the axes group is reached (7.3), and how a client tells that it is in one.
+
+Modes that STATE shows alike are told apart by what they answer to a request that changes nothing.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from conformance.case import reference
+from conformance.parts import OptionalPart
+from conformance.peer import Peer
+from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, reach, require_reason
+from conformance.reference.streaming import BOTH, Stream
+from conformance.wire import ANSWER_MS, MS, Failed, Unsupported, require
+from protocol.axes_group import ANSWERS, GROUP_STATE, Asked, Mode, Transition
+from protocol.faults import CommandCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import (
+    CAPABILITY_STREAMING,
+    FLAG_EMERGENCY_LATCHED,
+    FLAG_STREAMING,
+    Command,
+    ReferencePose,
+    State,
+    StreamRefused,
+)
+
+# The arm is to be well on its way, so that a ramp takes a while: a client's question takes less.
+UNDER_WAY_MS = 60.0
+MOTION_S = 1.5
+
+
+class ReachedMode(NamedTuple):
+    """A mode that was reached: where the arm stood then, where it is sent, and the stream that is open."""
+
+    here: Pose
+    goal: Pose
+    stream: Stream | None = None
+
+
+def entered(peer: Peer, mode: Mode) -> ReachedMode:
+    """A session with STATE in every scan, and the group in ``mode``. Raises Unsupported when it cannot be."""
+    disabled(peer, capabilities=BOTH, period_ms=0)
+    return _WAYS[mode](peer)
+
+
+def _here(peer: Peer) -> ReachedMode:
+    here = peer.state().X_BT_cmd
+    return ReachedMode(here, moved(here, dz=STEP_M))
+
+
+def _standby(peer: Peer) -> ReachedMode:
+    reason = peer.command(CommandCode.ENABLE)
+    if reason is not Reason.ACCEPTED:
+        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
+    here = reach(peer, GroupState.STANDBY, "after ENABLE").X_BT_cmd
+    return ReachedMode(here, moved(here, dz=STEP_M))
+
+
+def _moving(peer: Peer) -> ReachedMode:
+    scene = _standby(peer)
+    answer = peer.ask(ReferencePose(peer.new_id(), scene.goal, MOTION_S), "a motion of 20 mm")
+    expect_reason(answer, Reason.ACCEPTED, "a motion of 20 mm")
+    peer.collect(UNDER_WAY_MS)
+    return scene
+
+
+def opened_stream(peer: Peer) -> Stream:
+    """A new stream, in STANDBY. Raises Unsupported when streaming is not granted."""
+    assert peer.welcome is not None
+    if peer.welcome.capabilities & BOTH != BOTH:
+        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
+    request = Command(peer.new_id(), CommandCode.START_STREAM)
+    expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")
+    return Stream(peer, request.command_id)
+
+
+def _streaming(peer: Peer) -> ReachedMode:
+    scene = _standby(peer)
+    stream = opened_stream(peer)
+    stream.feed(scene.goal, UNDER_WAY_MS)
+    return scene._replace(stream=stream)
+
+
+def _after(way: Callable[[Peer], ReachedMode], *codes: CommandCode) -> Callable[[Peer], ReachedMode]:
+    def enter(peer: Peer) -> ReachedMode:
+        scene = way(peer)
+        for code in codes:
+            require_reason(peer, code, Reason.ACCEPTED, "the way there")
+        return scene
+
+    return enter
+
+
+def _error_ramp(peer: Peer) -> ReachedMode:
+    """The session of a motion ends, which is a loss of its link (7.5); the next one finds the ramp."""
+    scene = _moving(peer)
+    peer.leave()
+    peer.open(capabilities=BOTH, period_ms=0)
+    return scene
+
+
+_WAYS: dict[Mode, Callable[[Peer], ReachedMode]] = {
+    Mode.DISABLED: _here,
+    Mode.STANDBY: _standby,
+    Mode.MOVING: _moving,
+    Mode.STREAMING: _streaming,
+    Mode.STOPPING: _after(_moving, CommandCode.STOP),
+    Mode.DISABLING: _after(_moving, CommandCode.DISABLE),
+    Mode.ERROR_RAMP: _error_ramp,
+    Mode.ERROR_HELD: _after(_here, CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE),
+    Mode.EMERGENCY: _after(_here, CommandCode.EMERGENCY_STOP),
+}
+
+# What only one of two modes that look alike in STATE answers.
+_TOLD_BY = {
+    Mode.STOPPING: (CommandCode.ENABLE, Reason.ALREADY_DONE),
+    Mode.DISABLING: (CommandCode.ENABLE, Reason.STOPPING),
+    Mode.ERROR_RAMP: (CommandCode.RESET, Reason.STOPPING),
+    Mode.ERROR_HELD: (CommandCode.DISABLE, Reason.ALREADY_DONE),
+}
+
+
+def shown(state: State, mode: Mode) -> bool:
+    """Whether ``state`` may be one of ``mode``."""
+    flags = bool(state.flags & FLAG_EMERGENCY_LATCHED), bool(state.flags & FLAG_STREAMING)
+    wanted_flags = mode is Mode.EMERGENCY, mode is Mode.STREAMING
+    if state.group_state is not GROUP_STATE[mode] or flags != wanted_flags:
+        return False
+    held = mode in (Mode.ERROR_HELD, Mode.EMERGENCY, Mode.DISABLED)
+    return not (held and any(state.valves))
+
+
+def require_mode(peer: Peer, mode: Mode, what: str) -> None:
+    """Raises Failed unless the group is in ``mode``: by STATE, and by an answer where STATE is not enough."""
+    state = peer.state()
+    require(
+        shown(state, mode),
+        f"{what}: STATE shows {state.group_state.name}, flags {state.flags:#x}, not {mode.name}",
+    )
+    if mode in _TOLD_BY:
+        code, reason = _TOLD_BY[mode]
+        got = peer.command(code)
+        require(got is reason, f"{what}: not in {mode.name}, where {code.name} is {reason.name}: {got.name}")
+
+
+def is_ramping(state: State) -> bool:
+    """Whether ``state`` is one of an error's ramp that goes on: its valves are still driven."""
+    return state.group_state is GroupState.ERROR_STOP and any(state.valves)
+
+
+case = reference.case
+FIRST = 800
+COLUMNS = tuple(Asked)
+_OF_STREAMS = (Asked.START_STREAM, Asked.END_STREAM, Asked.STREAMED)
+_STILL = (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY)
+# An error's ramp may be over before the question comes; then it is asked again.
+_TRIES = 4
+_TITLES = {Asked.MOVE: "a reference", Asked.STREAMED: "a streamed reference"}
+
+
+def number_of(mode: Mode, asked: Asked) -> int:
+    """The case that asks for a cell."""
+    return FIRST + 10 * mode + COLUMNS.index(asked)
+
+
+def title_of(mode: Mode, asked: Asked) -> str:
+    """What the case asks."""
+    step = ANSWERS[mode, asked]
+    leads = "" if step.mode is mode else f" and {step.mode.name}"
+    return f"{_TITLES.get(asked, asked.name)} in {mode.name}: {step.reason.name}{leads}"
+
+
+def answered(peer: Peer, asked: Asked, scene: ReachedMode) -> Reason:
+    """The reason that answers; for a streamed reference that is followed, ACCEPTED."""
+    if asked is Asked.STREAMED:
+        return _stream_reason(peer, scene)
+    if asked is Asked.MOVE:
+        return peer.ask(ReferencePose(peer.new_id(), scene.goal, 3.0), "a reference").reason
+    return peer.command(CommandCode(asked))
+
+
+def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
+    stream = scene.stream or Stream(peer, peer.new_id())
+    number = stream.number
+    stream.give(scene.goal)
+    until_ns = peer.now_ns + ANSWER_MS * MS
+    while peer.now_ns < until_ns:
+        datagram = peer.receive(ANSWER_MS)
+        message = datagram.message if datagram else None
+        if isinstance(message, StreamRefused) and message.number == number:
+            return message.reason
+        if isinstance(message, State) and scene.stream is not None and message.stream_number == number:
+            return Reason.ACCEPTED
+    raise Failed("a streamed reference is neither followed nor refused")
+
+
+def ask_cell(peer: Peer, mode: Mode, asked: Asked, step: Transition) -> None:
+    """Asks once; raises Failed unless the answer and the next mode are those of ``step``."""
+    scene = entered(peer, mode)
+    assert peer.welcome is not None
+    if asked in _OF_STREAMS and not peer.welcome.capabilities & CAPABILITY_STREAMING:
+        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
+    if mode is Mode.ERROR_RAMP and not is_ramping(peer.state()):
+        raise _Over
+    what = title_of(mode, asked)
+    reason = answered(peer, asked, scene)
+    if asked is Asked.ENABLE and step.reason is Reason.ACCEPTED and reason is Reason.PLANT_NOT_READY:
+        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
+    require(reason is step.reason, f"{what}: answered {reason.name}")
+    require_mode(peer, step.mode, what)
+
+
+class _Over(Exception):
+    """The ramp was over before it could be asked in."""
+
+
+def _ask_in_a_ramp(peer: Peer, asked: Asked, step: Transition) -> None:
+    """As ``ask_cell``, but asked again when the ramp may have ended between the question and the answer."""
+    last: Exception = Unsupported("an error's ramp is over before a client can ask in it")
+    for _ in range(_TRIES):
+        try:
+            ask_cell(peer, Mode.ERROR_RAMP, asked, step)
+        except _Over:
+            continue
+        except Failed as failure:
+            last = failure
+        else:
+            return
+    raise last
+
+
+def _enter(mode: Mode, asked: Asked, step: Transition) -> None:
+    def run(peer: Peer) -> None:
+        if mode is Mode.ERROR_RAMP:
+            _ask_in_a_ramp(peer, asked, step)
+        else:
+            ask_cell(peer, mode, asked, step)
+
+    motion = mode not in _STILL or step.mode not in _STILL
+    streams = asked in _OF_STREAMS or mode is Mode.STREAMING
+    needs = OptionalPart.STREAMING if streams else None
+    case(number_of(mode, asked), "7.3", title_of(mode, asked), motion=motion, needs=needs)(run)
+
+
+for _cell, _step in ANSWERS.items():
+    _enter(*_cell, _step)

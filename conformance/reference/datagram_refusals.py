@@ -1,0 +1,218 @@
+"""Cases 141…, 242…: the order of the checks, and what they tell apart (clauses 3 to 5)."""
+
+from collections.abc import Iterator
+
+from conformance.case import reference
+from conformance.parts import OptionalPart
+from conformance.peer import RATION_MS, Peer
+from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, refused, stop
+from conformance.reference.sessions import hello, welcomes
+from conformance.wire import MS, Unsupported, require, resealed, with_bit_flipped
+from protocol.datagram import Header, encode
+from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
+from protocol.faults import Reason
+from protocol.pose import IDENTITY
+from protocol.reference_messages import (
+    CAPABILITY_STREAMING,
+    Bye,
+    HeartbeatReply,
+    Hello,
+    State,
+    StreamedPose,
+    Welcome,
+)
+
+case = reference.case
+MAGIC_BIT = 5
+STRANGERS_MS = 600
+
+
+@case(141, "3.2", "REFERENCE_PATH with a bit flipped in any of its bytes is dropped")
+def flipped_path(peer: Peer) -> None:
+    data = a_path(peer)
+    refused(peer, [with_bit_flipped(data, bit) for bit in range(0, 8 * len(data), 29)], "a flipped bit")
+
+
+@case(
+    142,
+    "3.2",
+    "STREAMED_POSE with a bit flipped in any of its bytes is dropped",
+    needs=OptionalPart.STREAMING,
+)
+def flipped_stream(peer: Peer) -> None:
+    welcome = peer.open(capabilities=CAPABILITY_STREAMING)
+    if not welcome.capabilities & CAPABILITY_STREAMING:
+        raise Unsupported("streaming is not offered")
+    data = peer.encoded(StreamedPose(peer.new_id(), 1, peer.now_ns, IDENTITY))
+    for bit in range(0, 8 * len(data), 5):
+        peer.send_raw(with_bit_flipped(data, bit))
+    got = [d.message for d in peer.collect(peer.grace_ms)]
+    # A flipped bit of the major version is answered, whatever the CRC (3.5).
+    got = [m for m in got if not isinstance(m, HeartbeatReply | State | Bye)]
+    require(not got, f"a flipped bit: came {got[:3]}")
+    peer.alive("after streamed poses with flipped bits")
+
+
+@case(143, "3.5", "another major version is told so whatever its length field and CRC, if its magic is right")
+def major_first(peer: Peer) -> None:
+    data = peer.with_number(peer.encoded(Hello(peer.nonce(), 1, 0, 50), session=0), MAJOR, "B", 9)
+    magic = resealed(with_bit_flipped(data, MAGIC_BIT))
+    longest = resealed(data.ljust(MAX_DATAGRAM_BYTES, b"\0"))
+    for what, bent, answered in (
+        ("a wrong CRC", with_bit_flipped(data, 8 * len(data) - 1), True),
+        ("a wrong length", data + b"\0", True),
+        ("a header alone", data[:HEADER_BYTES], True),
+        (f"{MAX_DATAGRAM_BYTES} bytes", longest, True),
+        (f"{MAX_DATAGRAM_BYTES + 1} bytes", resealed(longest + b"\0"), False),
+        (f"{HEADER_BYTES - 1} bytes", data[: HEADER_BYTES - 1], False),
+        ("a wrong magic", magic, False),
+    ):
+        peer.collect(RATION_MS, beating=False)
+        peer.send_raw(bent)
+        got = [d.message for d in peer.collect(40 if not answered else RATION_MS, beating=False)]
+        wanted = [Bye(Reason.INCOMPATIBLE_VERSION)] if answered else []
+        require(got == wanted, f"another major version and {what}: came {got}")
+
+
+def bent_requests(peer: Peer, session: int) -> Iterator[tuple[str, bytes]]:
+    """Requests of ``session`` that a receiver refuses before it looks at the session, and why."""
+    data = peer.encoded(stop(peer), session=session)
+    flags = int.from_bytes(data[FLAGS : FLAGS + 2], "little")
+    yield "a wrong magic", peer.resealed(with_bit_flipped(data, MAGIC_BIT))
+    yield "a wrong length", resealed(data + b"\0")
+    yield "a wrong CRC", with_bit_flipped(data, 8 * len(data) - 1)
+    yield "a critical flag", peer.with_number(data, FLAGS, "H", flags | 1 << 15)
+    yield "an unknown kind", peer.with_number(data, KIND, "B", 200)
+    yield "another kind's length", peer.with_payload_of(data, COMMAND_BYTES + 8)
+    yield "a command id of 0", peer.with_number(data, HEADER_BYTES, "Q", 0)
+
+
+@case(144, "3.5", "what is no datagram is not answered, though its session is not known either")
+def form_before_session(peer: Peer) -> None:
+    peer.collect(RATION_MS, beating=False)
+    for what, data in bent_requests(peer, 0x1234):
+        peer.send_raw(data)
+        got = peer.collect(20, beating=False)
+        require(not got, f"{what}, of an unknown session: came {[d.message for d in got]}")
+    peer.send(stop(peer), session=0x1234)
+    peer.expect_bye(Reason.UNKNOWN_SESSION, "a sound request of an unknown session")
+
+
+@case(145, "3.5", "HELLO with any single bit flipped opens nothing, nor one too long, too short or flagged")
+def bent_hello(peer: Peer) -> None:
+    data = peer.encoded(Hello(peer.nonce(), 1 | peer.required, 0, 50), session=0)
+    flags = int.from_bytes(data[FLAGS : FLAGS + 2], "little")
+    bent = [with_bit_flipped(data, bit) for bit in range(8 * len(data))]
+    bent += [data[:n] for n in range(HEADER_BYTES, len(data))]
+    bent += [peer.with_payload_of(data, n) for n in (0, 24, 31, 33, 40)]
+    bent += [peer.with_number(data, FLAGS, "H", flags | 1 << bit) for bit in range(9, 16)]
+    for each in bent:
+        peer.send_raw(each)
+    require(not welcomes(peer), "a bent HELLO was welcome")
+
+
+@case(242, "4.1", "the hash of the arm is compared in all its 64 bits")
+def every_bit_of_the_arm(peer: Peer) -> None:
+    right = peer.open().arm_hash
+    peer.leave()
+    peer.collect(RATION_MS, beating=False)
+    for bit in range(64):
+        other = right ^ 1 << bit
+        if other:
+            peer.send(Hello(peer.nonce(), 1 | peer.required, other, 50), session=0)
+    got = [d.message for d in peer.collect(100, beating=False)]
+    require(not any(isinstance(m, Welcome) for m in got), "the hash of another arm was welcome")
+    require(Bye(Reason.WRONG_ARM) in got, f"came {got}")
+
+
+@case(243, "3.5", "HELLO is judged in order: in a session, replayed, another arm, another source")
+def hello_in_order(peer: Peer) -> None:
+    nonce = peer.nonce()
+    wrong = peer.open(nonce=nonce).arm_hash ^ 1 or 2
+    peer.leave()
+    peer.open()
+    other = peer.second()
+
+    def asked(what: str, source: Peer, message: Hello, wanted: list[Bye], session: int = 0) -> None:
+        peer.collect(RATION_MS)
+        source.drain()
+        header = Header(session, source.sequence + 1, source.now_ns)
+        source.sequence += 1
+        source.send_raw(encode(message, header, peer.link_key.of_hello() if peer.link_key else None))
+        got = [d.message for d in source.collect(40, beating=False)]
+        got = [m for m in got if isinstance(m, Bye | Welcome)]
+        require(got == wanted, f"{what}: came {got}, wanted {wanted}")
+
+    def hello_of(nonce: int, arm_hash: int) -> Hello:
+        return Hello(nonce, 1 | peer.required, arm_hash, 50)
+
+    in_use = peer.session
+    asked("in a session, another arm", peer, hello_of(peer.nonce(), wrong), [], in_use)
+    asked("in a session, another source", other, hello_of(peer.nonce(), 0), [], in_use)
+    asked("replayed, another arm", peer, hello_of(nonce, wrong), [])
+    asked("replayed, another source", other, hello_of(nonce, 0), [])
+    asked("another arm and source", other, hello_of(peer.nonce(), wrong), [Bye(Reason.WRONG_ARM)])
+    asked("another source", other, hello_of(peer.nonce(), 0), [Bye(Reason.SESSION_OCCUPIED)])
+    peer.alive("after these")
+
+
+@case(244, "4.4", "BYE ends the session though it is late, came before, leaps or is old")
+def bye_is_not_checked(peer: Peer) -> None:
+    for what, behind, age_ms in (
+        ("late", 5, 0),
+        ("again", 0, 0),
+        ("leaping", -100_000, 0),
+        ("old", -1, 5000),
+    ):
+        peer.open(sequence=200_000)
+        peer.alive("before BYE")
+        session, arrived = peer.session, peer.sequence
+        peer.send(Bye(Reason.SHUTDOWN), sequence=arrived - behind, sent_ns=peer.now_ns - age_ms * MS)
+        peer.session = 0
+        peer.collect(RATION_MS, beating=False)
+        peer.send(stop(peer), session=session)
+        peer.expect_bye(Reason.UNKNOWN_SESSION, f"a request after a BYE that was {what}")
+
+
+@case(245, "4.4", "BYE of another session, port or version ends nothing")
+def bye_of_others(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    for what, source, header in (
+        ("session", peer, {"session": peer.session ^ 1}),
+        ("session, the 0", peer, {"session": 0}),
+        ("port", other, {}),
+        ("minor version", peer, {"minor": peer.minor + 1}),
+    ):
+        source.send_raw(peer.encoded(Bye(Reason.SHUTDOWN), **header))
+        peer.alive(f"after a BYE of another {what}")
+
+
+@case(246, "8", "the nonces of the last 64 sessions open nothing")
+def nonces_remembered(peer: Peer) -> None:
+    nonces = []
+    for _ in range(64):
+        nonces.append(peer.nonce())
+        peer.open(nonce=nonces[-1])
+        peer.leave()
+    for nonce in (nonces[0], nonces[1], nonces[-1]):
+        hello(peer, nonce)
+    require(not welcomes(peer), "the nonce of one of the last 64 sessions was welcome")
+
+
+@case(247, "8", "strangers are answered at most once in 50 ms, but are, and the session does not suffer")
+def rationed_not_silenced(peer: Peer) -> None:
+    peer.open(period_ms=20)
+    other = peer.second()
+    peer.collect(RATION_MS)
+    begin_ns = peer.now_ns
+    answers = 0
+    while peer.now_ns < begin_ns + STRANGERS_MS * MS:
+        hello(other, other.nonce())
+        answers += len(other.collect(4, beating=False))
+        peer.collect(1)
+    elapsed_ms = (peer.now_ns - begin_ns) / MS
+    require(answers <= elapsed_ms / 50 + 2, f"{answers} answers in {elapsed_ms:.0f} ms")
+    require(answers >= elapsed_ms / 200, f"only {answers} answers in {elapsed_ms:.0f} ms")
+    states = [d for d in peer.collect(200) if isinstance(d.message, State)]
+    require(len(states) >= 3, "STATE stopped while strangers were refused")
