@@ -38,38 +38,6 @@ def _with_reference(bench: Bench, inputs: ScanInput) -> ScanInput:
     return inputs._replace(streamed=StreamedPoseReceived(reference, now_ns, now_ns))
 
 
-@pytest.mark.benchmark(group="scan")
-def test_scan_in_motion(benchmark, settings: ScanSettings) -> None:
-    bench = Bench(settings).moving()
-    inputs = _next_input(bench)
-    benchmark(scan, settings, bench.state, inputs)
-
-
-@pytest.mark.benchmark(group="scan")
-def test_scan_in_a_stream(benchmark, settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    inputs = _next_input(bench)
-    benchmark(scan, settings, bench.state, inputs)
-
-
-@pytest.mark.benchmark(group="scan")
-def test_scan_with_a_streamed_reference(benchmark, settings: ScanSettings) -> None:
-    """Judged, surveyed and planned anew: what a reference costs in the one scan that takes it."""
-    bench = Bench(settings).streaming()
-    inputs = _next_input(bench)
-    inputs = _with_reference(bench, inputs)
-    _, output = benchmark(scan, settings, bench.state, inputs)
-    assert output.refusal is None
-
-
-@pytest.mark.benchmark(group="scan")
-def test_scan_disabled(benchmark, settings: ScanSettings) -> None:
-    bench = Bench(settings)
-    bench.run(0.1)
-    inputs = _next_input(bench)
-    benchmark(scan, settings, bench.state, inputs)
-
-
 @pytest.mark.benchmark(group="admission")
 def test_admission_of_24_waypoints(benchmark, settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
@@ -95,12 +63,6 @@ def test_pinocchio(benchmark, table: Array) -> None:
 
     assert peer() == pytest.approx(tool_state(table, START).J_BT, abs=1e-9)
     benchmark(peer)
-
-
-@pytest.mark.benchmark(group="kinematics and Jacobian")
-def test_plain_numpy(benchmark, table: Array) -> None:
-    assert plain_numpy(table)[1] == pytest.approx(tool_state(table, START).J_BT, abs=1e-12)
-    benchmark(plain_numpy, table)
 
 
 def plain_numpy(table: Array) -> tuple[Array, Array]:

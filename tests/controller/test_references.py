@@ -50,47 +50,6 @@ def test_not_finite_is_refused(bench: Bench) -> None:
     _assert_nothing_moves(bench)
 
 
-def test_a_quaternion_far_from_unit_norm_is_refused_and_a_near_one_normalised(bench: Bench) -> None:
-    here = bench.shifted(z=0.05)
-    long = Pose(here.p_m, tuple(1.002 * c for c in here.q_wxyz))  # type: ignore[arg-type]
-    answer = bench.refer(long)
-    assert (answer.reason, answer.limit) == (Reason.NOT_UNIT_QUATERNION, 1.0)
-    assert answer.value == pytest.approx(1.002)
-    near = Pose(here.p_m, tuple(1.0005 * c for c in here.q_wxyz))  # type: ignore[arg-type]
-    assert bench.refer(near).reason is Reason.ACCEPTED
-    assert np.linalg.norm(bench.state.motion.desired.quaternion) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_outside_the_workspace_names_coordinate_and_bound(bench: Bench, arm: NominalArm) -> None:
-    answer = bench.refer(bench.shifted(z=-2.5))
-    assert answer.reason is Reason.OUTSIDE_WORKSPACE
-    assert answer.limit == arm.workspace.z_m[0]
-    assert answer.value < answer.limit
-    _assert_nothing_moves(bench)
-
-
-def test_beyond_reach_names_distance_and_reach(bench: Bench) -> None:
-    wide = bench.refer(Pose((5.1, 1.0, 2.0), bench.last.view.X_BT.q_wxyz))
-    assert wide.reason is Reason.UNREACHABLE
-    assert wide.value > wide.limit > 4.0
-    _assert_nothing_moves(bench)
-
-
-def test_a_joint_beyond_its_range_names_angle_and_limit(bench: Bench, settings: ScanSettings) -> None:
-    answer = bench.refer(_turned(bench.last.view.X_BT, 2, math.radians(100.0)))
-    assert answer.reason is Reason.JOINT_LIMIT
-    assert abs(answer.value) > abs(answer.limit)
-    assert answer.limit in settings.planning.planned_range
-    _assert_nothing_moves(bench)
-
-
-def test_a_path_with_one_bad_waypoint_is_refused_whole(bench: Bench) -> None:
-    good = tuple(bench.shifted(y=0.01 * k) for k in range(1, 20))
-    answer = bench.step(ReferencePath(5, (*good, bench.shifted(z=-2.5)), 0.0, 0.0)).acknowledgements[0]
-    assert answer.reason is Reason.OUTSIDE_WORKSPACE
-    _assert_nothing_moves(bench)
-
-
 def test_the_wrist_singularity_is_refused(bench: Bench, config: ControllerConfig) -> None:
     boom_pitch = math.radians(-25.0)  # tool axis along the boom: wrist 2 stretched
     answer = bench.refer(_turned(bench.last.view.X_BT, 0, boom_pitch))
@@ -199,30 +158,6 @@ def test_the_content_is_judged_in_the_order_of_the_page(
     _assert_nothing_moves(bench)
 
 
-def test_counts_and_durations_are_checked(bench: Bench, config: ControllerConfig) -> None:
-    here = bench.shifted(z=0.05)
-    motion = config.motion
-    assert bench.step(ReferencePath(1, (), 0.0, 0.0)).acknowledgements[0].reason is Reason.EMPTY_PATH
-    many = bench.step(ReferencePath(2, (here,) * 25, 0.0, 0.0)).acknowledgements[0]
-    assert many[1:] == (Reason.TOO_MANY_WAYPOINTS, 25.0, 24.0)
-    assert bench.refer(here, -1.0)[1:] == (Reason.BAD_DURATION, -1.0, motion.duration_min_s)
-    assert bench.refer(here, 0.01)[1:] == (Reason.BAD_DURATION, 0.01, motion.duration_min_s)
-    assert bench.refer(here, 1e9)[1:] == (Reason.BAD_DURATION, 1e9, motion.duration_max_s)
-    dwell = bench.step(ReferencePath(3, (here,), 0.0, -0.1)).acknowledgements[0]
-    assert dwell[1:] == (Reason.BAD_DURATION, -0.1, 0.0)
-    _assert_nothing_moves(bench)
-
-
-def test_too_far_and_too_fast_name_value_and_limit(bench: Bench, config: ControllerConfig) -> None:
-    far = bench.refer(Pose((1.2, 3.5, 1.0), bench.last.view.X_BT.q_wxyz))
-    assert far.reason is Reason.TOO_FAR
-    assert far.value > far.limit == config.motion.first_point_distance_m
-    fast = bench.refer(bench.shifted(z=0.3), duration_s=1.0)
-    assert fast.reason is Reason.TOO_FAST
-    assert fast.value > fast.limit
-    _assert_nothing_moves(bench)
-
-
 def test_a_jump_within_a_path_is_slow_enough(bench: Bench, config: ControllerConfig, arm: NominalArm) -> None:
     """Durations chosen by the controller keep every limit: Cartesian and joint, speed and acceleration."""
     first, second = bench.shifted(y=0.4, z=0.2), _turned(bench.shifted(y=-0.3, z=-0.2), 2, 0.5)
@@ -240,14 +175,6 @@ def test_a_jump_within_a_path_is_slow_enough(bench: Bench, config: ControllerCon
     q = np.array([o.view.q_cmd for o in bench.outputs[begin:]])
     speeds = np.abs(np.diff(q, axis=0)).max(axis=0) / dt_s
     assert np.all(speeds < 1.1 * np.radians([joint.speed_deg_s for joint in arm.joints]))
-
-
-def test_a_given_duration_is_kept(bench: Bench) -> None:
-    assert bench.refer(bench.shifted(z=0.1), duration_s=4.0).reason is Reason.ACCEPTED
-    bench.run(3.9)
-    assert not bench.last.view.motion_done
-    bench.run(0.15)
-    assert bench.last.view.motion_done
 
 
 def test_replanning_at_full_speed_against_the_motion_is_accepted(bench: Bench) -> None:

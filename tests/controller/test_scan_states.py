@@ -4,15 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from controller.config import ControllerConfig
 from controller.core.group_states import Stimulus, transition
-from controller.core.settings import ScanSettings, settings_from
-from foundation.configuration import load
-from nominal_arm.description import NominalArm
+from controller.core.settings import ScanSettings
 from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
@@ -28,7 +22,6 @@ from protocol.reference_messages import (
     Command,
     ReferencePath,
 )
-from tests.controller.conftest import CONFIGS
 from tests.controller.obedient_plant import Bench
 
 ZERO = (0.0,) * 6
@@ -120,17 +113,6 @@ def test_a_path_counts_its_segments(settings: ScanSettings) -> None:
         seen.append(bench.last.view.segment)
     assert sorted(set(seen)) == list(range(24))
     assert seen == sorted(seen)
-
-
-def test_a_new_reference_takes_over_without_a_jump(settings: ScanSettings) -> None:
-    bench = Bench(settings).moving()
-    assert bench.refer(bench.shifted(y=0.2)).reason is Reason.ACCEPTED
-    bench.run(8.0)
-    p = np.array([output.view.X_BT_cmd.p_m for output in bench.outputs])
-    acceleration = np.diff(p, n=2, axis=0) / settings.cycle_s**2
-    limit = settings.motion.acceleration
-    assert np.linalg.norm(acceleration, axis=1).max() < 1.2 * limit
-    assert bench.last.view.motion_done
 
 
 def test_stop_ramps_down_and_holds(settings: ScanSettings) -> None:
@@ -239,108 +221,3 @@ def test_a_plant_that_hears_no_edge_gets_another_one(settings: ScanSettings) -> 
     edges = [k for k, (before, now) in enumerate(itertools.pairwise([False, *high])) if now and not before]
     assert edges == [0, 16, 32]
     assert not any(output.valves.control & CONTROL_ENABLE for output in bench.outputs)
-
-
-def test_an_unknown_command_is_refused(settings: ScanSettings) -> None:
-    bench = Bench(settings).enabled()
-    answer = bench.step(Command(5, 77)).acknowledgements[0]  # type: ignore[arg-type]
-    assert (answer.reason, answer.value) == (Reason.UNKNOWN_COMMAND, 77.0)
-
-
-class GroupMachine(RuleBasedStateMachine):
-    """The scan against an oracle of five facts; it knows nothing of the transition table."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        arm = load(NominalArm, CONFIGS / "arm.yaml")
-        self.bench = Bench(settings_from(arm, load(ControllerConfig, CONFIGS / "controller.yaml")))
-        self.enabled = self.moving = self.slowing = self.error = self.latched = False
-
-    @initialize()
-    def start(self) -> None:
-        self.bench.step()
-
-    def _oracle(self, code: CommandCode) -> Reason:
-        if code is CommandCode.STOP:
-            self.slowing |= self.moving
-            return Reason.ACCEPTED
-        if code is CommandCode.EMERGENCY_STOP:
-            known = self.latched
-            self.error = self.latched = True
-            self.enabled = self.moving = self.slowing = False
-            return Reason.ALREADY_DONE if known else Reason.ACCEPTED
-        if code is CommandCode.EMERGENCY_RELEASE:
-            known, self.latched = self.latched, False
-            return Reason.ACCEPTED if known else Reason.ALREADY_DONE
-        if code is CommandCode.RESET:
-            if self.latched:
-                return Reason.EMERGENCY_LATCHED
-            known, self.error = self.error, False
-            return Reason.ACCEPTED if known else Reason.NOT_IN_ERROR
-        if code is CommandCode.END_STREAM:
-            return Reason.NOT_STREAMING
-        if code is CommandCode.DISABLE:
-            known, self.enabled = self.enabled, False
-            self.moving = self.slowing = False
-            return Reason.ACCEPTED if known else Reason.ALREADY_DONE
-        if self.error:
-            return Reason.EMERGENCY_LATCHED if self.latched else Reason.ERROR_LATCHED
-        known, self.enabled = self.enabled, True
-        return Reason.ALREADY_DONE if known else Reason.ACCEPTED
-
-    @rule(code=st.sampled_from([code for code in CommandCode if code is not CommandCode.START_STREAM]))
-    def command(self, code: CommandCode) -> None:
-        was_moving = self.moving
-        assert self.bench.command(code) is self._oracle(code)
-        if was_moving and code is CommandCode.DISABLE:
-            self.bench.run(1.5)  # the ramp
-        if self.slowing:
-            self.bench.run(1.5)
-            self.moving = self.slowing = False
-
-    @rule(z=st.floats(-0.1, 0.1))
-    def refer(self, z: float) -> None:
-        answer = self.bench.refer(self.bench.shifted(z=z))
-        if self.error:
-            assert answer.reason is (Reason.EMERGENCY_LATCHED if self.latched else Reason.ERROR_LATCHED)
-        elif not self.enabled:
-            assert answer.reason is Reason.DISABLED
-        else:
-            assert answer.reason is Reason.ACCEPTED
-            self.moving = True
-
-    @precondition(lambda self: self.moving)
-    @rule()
-    def arrive(self) -> None:
-        self.bench.run(6.0)
-        self.moving = False
-        assert self.bench.last.view.motion_done
-
-    @rule()
-    def idle(self) -> None:
-        self.bench.run(0.05)
-
-    @precondition(lambda self: self.moving)
-    @rule()
-    def link_falls_silent(self) -> None:
-        self.bench.link_alive = False
-        self.bench.run(1.5)
-        self.bench.link_alive = True
-        self.bench.step()
-        self.error, self.enabled, self.moving = True, False, False
-        assert self.bench.last.view.fault is FaultCode.REFERENCE_LINK_LOST
-
-    @invariant()
-    def agrees(self) -> None:
-        view, valves = self.bench.last.view, self.bench.last.valves
-        assert bool(view.flags & FLAG_EMERGENCY_LATCHED) == self.latched
-        assert (view.group_state is GroupState.ERROR_STOP) == self.error
-        assert (view.fault is FaultCode.NONE) == (not self.error)
-        assert bool(valves.control & CONTROL_ENABLE) == self.enabled
-        assert (view.group_state is GroupState.MOVING) == self.moving
-        if not self.enabled:
-            assert valves.valves == ZERO
-
-
-TestGroupMachine = GroupMachine.TestCase
-TestGroupMachine.settings = hypothesis_settings(max_examples=25, stateful_step_count=25, deadline=None)

@@ -65,18 +65,6 @@ def test_what_is_refused_changes_nothing(
     assert ("streamed", reason.name) in [event[:2] for event in bench.last.events]
 
 
-def test_just_inside_the_limits_is_followed(settings: ScanSettings) -> None:
-    bench = opened(settings)
-    here = bench.shifted()
-    assert bench.stream(1, moved(here, 0.999 * edge(settings)), age_s=0.24) is None
-    assert bench.stream(2, turned(here, np.array([0.0, 0.0, 0.52]))) is None
-    assert bench.stream(3, here, twist_ref=(0.0, 0.11, 0.0, 0.0, 0.0, 0.09)) is None
-    doubled = here._replace(q_wxyz=tuple(-q for q in here.q_wxyz))
-    assert bench.stream(4, doubled) is None
-    assert bench.state.motion.path is not None
-    bench.run(0.06)
-
-
 @pytest.mark.parametrize(
     ("way", "reason"),
     [((1.0, 0.0, 0.0), Reason.OUTSIDE_WORKSPACE), ((0.0, 0.0, -1.0), Reason.OUTSIDE_WORKSPACE)],
@@ -96,15 +84,6 @@ def test_references_that_lead_out_are_refused_on_the_way(
     assert bench.last.view.group_state is GroupState.MOVING
     bench.run(0.2)
     assert bench.last.view.fault is FaultCode.REFERENCE_STALE  # and not a limit that was run into
-
-
-def test_refused_references_do_not_keep_a_stream_alive(settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    number = bench.last.view.stream_number
-    nan = bench.shifted()._replace(p_m=(math.nan, 0.0, 0.0))
-    for k in range(1, 25):
-        bench.stream(number + k, nan)
-    assert bench.last.view.fault is FaultCode.REFERENCE_STALE
 
 
 def test_a_reference_outside_any_stream_is_told_the_id_it_named(settings: ScanSettings) -> None:

@@ -11,7 +11,6 @@ from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
-from protocol.reference_messages import FLAG_STREAMING
 from tests.controller.obedient_plant import Bench
 from tests.controller.streamed import (
     CLOSES_S,
@@ -75,19 +74,6 @@ def test_a_moving_reference_is_followed_without_lag_and_without_ripple(
     assert np.abs(lag_s).max() < 0.01
     assert np.abs(v - speed).max() < 0.01 * speed
     assert v.min() > 0.0
-
-
-def test_a_reference_at_rest_is_reached_without_going_past_it(settings: ScanSettings) -> None:
-    bench = opened(settings)
-    goal = bench.shifted(y=0.3)
-    streamed(bench, 30.0, 5.0, lambda t: goal)
-    y = commanded(bench)[:, 1]
-    assert y.max() <= goal.p_m[1] + 1e-9
-    assert bench.last.view.X_BT_cmd.p_m == pytest.approx(goal.p_m, abs=1e-9)
-    assert bench.last.view.X_BT_cmd.q_wxyz == pytest.approx(goal.q_wxyz, abs=1e-9)
-    assert bench.last.view.group_state is GroupState.MOVING
-    assert bench.last.view.flags & FLAG_STREAMING
-    assert not bench.last.view.motion_done
 
 
 def test_a_silent_stream_is_slowed_down_then_centred_and_latched(settings: ScanSettings) -> None:
@@ -166,20 +152,6 @@ def test_nothing_resumes_by_itself_and_a_new_stream_starts_from_rest(
     v = np.linalg.norm(np.diff(commanded(bench)[begin - 1 :], axis=0), axis=1) / CYCLE_S
     assert v[0] < 1e-3
     assert np.abs(np.diff(v)).max() / CYCLE_S <= config.streaming.acceleration_m_s2
-
-
-def test_numbers_rise_and_wrap(settings: ScanSettings) -> None:
-    bench = opened(settings)
-    here = bench.shifted(y=0.01)
-    assert bench.stream(2**32 - 2, here) is None
-    assert bench.stream(2**32 - 1, here) is None
-    assert bench.stream(0, here) is None
-    assert bench.stream(5, here) is None
-    for number in (5, 4, 0, 2**32 - 1, 5 + 2**31):
-        refusal = bench.stream(number, bench.shifted(y=0.3))
-        assert refusal is not None
-        assert (refusal.reason, refusal.value, refusal.limit) == (Reason.OVERTAKEN, number, 5.0)
-    assert bench.last.view.stream_number == 5
 
 
 def test_the_first_reference_is_waited_for_at_rest(settings: ScanSettings) -> None:

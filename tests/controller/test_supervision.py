@@ -251,26 +251,9 @@ def test_a_restarted_echo_counts_as_a_dead_link_until_it_has_caught_up(settings:
     assert bench.command(CommandCode.ENABLE) is Reason.ACCEPTED
 
 
-def test_the_same_run_twice_gives_the_same_bits(settings: ScanSettings) -> None:
-    def trace() -> list[object]:
-        bench = Bench(settings).moving()
-        bench.command(CommandCode.STOP)
-        bench.run(1.0)
-        return [(output.valves, output.view) for output in bench.outputs]
-
-    assert trace() == trace()
-
-
 def test_every_fault_has_one_reaction() -> None:
     assert set(REACTIONS) == set(FaultCode) - {FaultCode.NONE}
     assert all(REACTIONS[row.code] == row.reaction for row in FAULTS)  # also those with two rows
-
-
-def test_a_scan_works_in_si_alone(settings: ScanSettings) -> None:
-    for group in (settings.motion, settings.stop, settings.settled, settings.streaming, settings.supervision):
-        units = {name.rsplit("_", 1)[-1] for name in group._fields}
-        assert not units & {"ms", "deg", "mrad", "mm"}, group
-    assert not any("config" in name for name in ScanSettings.__slots__)
 
 
 @pytest.fixture

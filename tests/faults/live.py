@@ -6,7 +6,7 @@ to the coupler's registers is kept, as everywhere in these tests.
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -145,9 +145,6 @@ class LiveRig:
         """The arm has come to rest."""
         await until(lambda: self.station.controller.state.group_state is GroupState.STANDBY, 20.0)
         await asyncio.sleep(0.3)
-
-
-Act = Callable[[], Awaitable[None]]
 
 
 @asynccontextmanager

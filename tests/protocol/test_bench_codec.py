@@ -7,71 +7,21 @@ And a reference, unsigned and signed, against pymavlink's messages of like size.
 Signed, both sides also check the tag and look for a replay.
 """
 
-import json
 import statistics
-import struct
 import time
-from collections.abc import Callable
 from typing import Any
-from zlib import crc32
 
 import pytest
-from pytest_benchmark.fixture import BenchmarkFixture
 
 from protocol.authentication import LinkKey, fault_of
 from protocol.channel import EXTENDED_MODULUS, SEQUENCE_MODULUS, Arrival, SequenceWindow
 from protocol.datagram import decode, encode
-from protocol.reference_messages import Message, ReferencePose, State
+from protocol.reference_messages import Message, ReferencePose
 from tools.sample_messages import HEADER, MESSAGES
 
 BATCHES, EXCHANGES_A_BATCH = 60, 200
 
 REFERENCE = next(m for m in MESSAGES if isinstance(m, ReferencePose))
-STATE = next(m for m in MESSAGES if isinstance(m, State))
-BARE = {
-    ReferencePose: struct.Struct("<4sBBBBHHIQIIQQ8d"),
-    State: struct.Struct("<4sBBBBHHIQIIQQQ4HQII18d14dd8I"),
-}
-
-
-def through_ours(message: Message) -> Any:
-    return decode(encode(message, HEADER)).message
-
-
-def through_json(message: Message) -> Any:
-    text = json.dumps({"header": HEADER._asdict(), "fields": message._asdict()}).encode()
-    return json.loads(text)["fields"]
-
-
-def through_bare_struct(message: Message) -> Any:
-    layout = BARE[type(message)]
-    numbers: list[float] = []
-    for value in message:
-        if isinstance(value, tuple):
-            numbers += (n for part in value for n in part) if isinstance(value[0], tuple) else value
-        else:
-            numbers.append(value)
-    head = (b"LRLK", 1, 0, 5, 0, 0, 0, 0, HEADER.session, HEADER.sequence, 0, HEADER.sent_ns)
-    data = layout.pack(*head, *numbers)
-    crc32(data)
-    crc32(data)
-    return layout.unpack(data)
-
-
-@pytest.mark.bench
-@pytest.mark.parametrize("message", [REFERENCE, STATE], ids=["reference", "state"])
-@pytest.mark.parametrize(
-    "peer", [through_ours, through_json, through_bare_struct], ids=lambda peer: peer.__name__
-)
-def test_encode_and_decode(
-    benchmark: BenchmarkFixture, message: Message, peer: Callable[[Message], Any]
-) -> None:
-    benchmark.group = f"encode + decode of one {type(message).__name__}"
-    result = benchmark(peer, message)
-    if peer is through_ours:
-        assert result == message
-    else:
-        assert result
 
 
 class OurLink:

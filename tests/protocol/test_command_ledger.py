@@ -4,7 +4,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from protocol.command_ledger import REMEMBERED, CommandLedger
+from protocol.command_ledger import CommandLedger
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement
 
@@ -60,15 +60,3 @@ class Repetitions(RuleBasedStateMachine):
 
 TestRepetitions = Repetitions.TestCase
 TestRepetitions.settings = settings(max_examples=150, stateful_step_count=40)
-
-
-def test_an_id_whose_answer_was_forgotten_is_still_not_executed_again() -> None:
-    ledger = CommandLedger()
-    for command_id in range(1, REMEMBERED + 3):
-        assert ledger.admit(command_id, b"x").execute
-        ledger.settle(accepted(command_id))
-    forgotten, remembered = ledger.admit(1, b"x"), ledger.admit(3, b"x")
-    assert not forgotten.execute
-    assert forgotten.answer is not None
-    assert forgotten.answer.reason is Reason.OVERTAKEN
-    assert remembered == (False, accepted(3))

@@ -5,7 +5,7 @@ import math
 import struct
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance.wire import resealed, with_number
@@ -13,7 +13,6 @@ from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
     MAX_DATAGRAM_BYTES,
-    MAX_WAYPOINTS,
     PAYLOADS,
     TRAILER,
     TRAILER_BYTES,
@@ -22,12 +21,11 @@ from protocol.datagram_layout import (
     size_of,
 )
 from protocol.errors import DatagramRefused, RequestRefused
-from protocol.faults import CommandCode, Reason
-from protocol.pose import IDENTITY, Pose
+from protocol.faults import Reason
+from protocol.pose import Pose
 from protocol.reference_messages import (
     Acknowledgement,
     Bye,
-    Command,
     Hello,
     Message,
     ReferencePath,
@@ -145,13 +143,6 @@ def test_a_newer_minor_version_and_unknown_optional_flags_are_read(minor: int) -
     assert decode(encode(MESSAGES[0], header)) == Datagram(header, MESSAGES[0])
 
 
-def test_padding_and_spare_are_ignored_on_receipt() -> None:
-    hello = encode(Hello(1, 2, 3, 4), HEADER)
-    assert decode(with_number(with_number(hello, 7, "B", 9), HEADER_BYTES + 28, "I", 9)).message == Hello(
-        1, 2, 3, 4
-    )
-
-
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 5e-324, -0.0])
 def test_odd_floats_are_carried_so_that_the_controller_can_refuse_them_by_reason(odd: float) -> None:
     sent = ReferencePose(1, Pose((odd, 0.0, 0.0), (1.0, 0.0, 0.0, odd)), odd)
@@ -160,33 +151,6 @@ def test_odd_floats_are_carried_so_that_the_controller_can_refuse_them_by_reason
     assert [struct.pack("<d", x) for x in (got.X_BT_ref.p_m[0], got.X_BT_ref.q_wxyz[3], got.duration_s)] == [
         struct.pack("<d", odd)
     ] * 3
-
-
-@pytest.mark.parametrize("code", [0, 9, 99, 2**32 - 1])
-def test_an_unknown_command_is_decoded_as_unusable(code: int) -> None:
-    datagram = with_number(encode(Command(9, CommandCode.STOP), HEADER), HEADER_BYTES + 8, "I", code)
-    assert decode(datagram).message == UnusableRequest(9, Reason.UNKNOWN_COMMAND, float(code), 0.0)
-
-
-@pytest.mark.parametrize(
-    ("count", "answer"),
-    [
-        (0, UnusableRequest(9, Reason.EMPTY_PATH, 0.0, 1.0)),
-        (25, UnusableRequest(9, Reason.TOO_MANY_WAYPOINTS, 25.0, 24.0)),
-        (2**32 - 1, UnusableRequest(9, Reason.TOO_MANY_WAYPOINTS, float(2**32 - 1), 24.0)),
-    ],
-)
-def test_a_path_of_no_or_too_many_waypoints_is_unusable(count: int, answer: UnusableRequest) -> None:
-    path = encode(ReferencePath(9, (POSE,), 0.0, 0.0), HEADER)
-    assert decode(with_number(path, HEADER_BYTES + 8, "I", count)).message == answer
-
-
-@pytest.mark.parametrize("count", range(1, MAX_WAYPOINTS + 1))
-def test_paths_of_every_length(count: int) -> None:
-    path = ReferencePath(
-        1, tuple(Pose((float(i), 0.0, 0.0), IDENTITY.q_wxyz) for i in range(count)), 0.0, 0.0
-    )
-    assert decode(encode(path, HEADER)).message == path
 
 
 @pytest.mark.parametrize("kind", [Kind.ACKNOWLEDGEMENT, Kind.STATE, Kind.BYE], ids=lambda k: k.name)
@@ -217,14 +181,6 @@ def test_what_does_not_fit_is_refused_before_it_is_sent(message: Message, header
     with pytest.raises(RequestRefused, match=named) as caught:
         encode(message, header)
     assert caught.value.cause == "refused.not_encodable"
-
-
-@settings(max_examples=500)
-@given(st.binary(max_size=MAX_DATAGRAM_BYTES + 8))
-@example(b"")
-def test_noise_raises_nothing_but_refusals(noise: bytes) -> None:
-    with pytest.raises(DatagramRefused):
-        decode(noise)
 
 
 @settings(max_examples=500)

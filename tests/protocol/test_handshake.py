@@ -11,8 +11,8 @@ from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import Bye, Command, Heartbeat, Hello, State
-from protocol.session_events import RequestReceived, SessionClosed, SessionOpened, StateReceived
-from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, Wire, a_server, kind_of
+from protocol.session_events import RequestReceived, SessionClosed, SessionOpened
+from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, Wire, a_server
 from tools.sample_messages import MESSAGES
 
 STATE = next(m for m in MESSAGES if isinstance(m, State))
@@ -72,42 +72,6 @@ def test_a_hello_with_the_client_s_address_ends_nothing(key: LinkKey | None) -> 
     assert wire.client.connected
     assert not [e for e in wire.server_events if isinstance(e, SessionOpened | SessionClosed)]
     assert [e.message.command_id for e in wire.server_events if isinstance(e, RequestReceived)] == [asked]
-
-
-def test_no_state_is_sent_and_no_link_counts_before_the_first_datagram_of_the_session() -> None:
-    wire = Wire()
-    wire.loses = lambda direction, data: direction == "up" and kind_of(data) != "Hello"
-    wire.client.connect(wire.now_ns)
-    for _ in range(100):
-        wire.step()
-        wire.server.publish(STATE, wire.server_ns)
-    assert wire.client.connected  # as far as the client knows
-    assert wire.server.session is None
-    assert not wire.server.link_alive(wire.server_ns)
-    assert not [e for e in wire.client_events if isinstance(e, StateReceived)]
-    wire.loses = lambda direction, data: False
-    wire.run(60)
-    wire.server.publish(STATE, wire.server_ns)
-    wire.run(5)
-    assert wire.server.session == wire.sessions()[-1]
-    assert wire.server.link_alive(wire.server_ns)
-    assert [e for e in wire.client_events if isinstance(e, StateReceived)]
-
-
-def test_the_old_session_ends_with_the_first_datagram_in_the_new_one() -> None:
-    wire = Wire().connect()
-    old = wire.server.session
-    wire.client = ReferenceClient(8)
-    wire.client.connect(wire.now_ns)
-    wire.post()
-    ((_, data),) = wire.upward
-    wire.upward.clear()
-    wire.give_server(data)
-    assert wire.server.session == old
-    (welcome,) = [data for data, _ in wire.server.outgoing() if kind_of(data) == "Welcome"]
-    new = decode(welcome).header.session
-    events = wire.give_server(encode(Heartbeat(1), Header(new, 100, wire.now_ns)))
-    assert events == [SessionClosed(old or 0, Reason.PEER_RESTARTED), SessionOpened(new, "vision")]
 
 
 def test_bye_withdraws_a_grant() -> None:

@@ -2,17 +2,14 @@
 
 import pytest
 
-from conformance.wire import with_number
 from protocol import errors
 from protocol.client_session import ReferenceClient
-from protocol.datagram import Header, decode, encode
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Command,
-    Hello,
     ReferencePath,
     ReferencePose,
 )
@@ -32,8 +29,6 @@ from tests.protocol.wire import (
     Wire,
     a_server,
     answers,
-    dropped_causes,
-    kind_of,
 )
 
 STOP = Command(0, CommandCode.STOP)
@@ -78,77 +73,11 @@ class TestHandshake:
         assert wire.client.connected
         assert wire.server.link_alive(wire.server_ns)
 
-    def test_a_repeated_hello_gets_the_same_session(self) -> None:
-        wire = Wire(down_ns=150 * MS)
-        wire.client.connect(wire.now_ns)
-        wire.run(400)
-        assert [type(e) for e in wire.server_events] == [SessionOpened]
-        assert len(wire.sessions()) == 1
-
-    def test_another_arm_is_refused_with_the_reason(self) -> None:
-        wire = Wire(client=ReferenceClient(7, arm_hash=ARM + 1))
-        wire.client.connect(wire.now_ns)
-        wire.run(20)
-        assert wire.client_events == [SessionLost(Reason.WRONG_ARM, ())]
-        assert dropped_causes(wire.server_events) == ["session.wrong_arm"]
-        assert wire.server.session is None
-
-    def test_another_major_version_is_told_so(self) -> None:
-        wire = Wire()
-        wire.client.connect(wire.now_ns)
-        (hello,) = wire.client.outgoing()
-        events = wire.give_server(with_number(hello, 4, "B", 2))
-        assert dropped_causes(events) == ["datagram.wrong_major"]
-        wire.post()
-        wire.run(5)
-        assert wire.client_events == [SessionLost(Reason.INCOMPATIBLE_VERSION, ())]
-
-    def test_a_newer_minor_version_is_met_with_ours(self) -> None:
-        wire = Wire()
-        wire.give_server(encode(Hello(1, 0, 0, 20), Header(0, 1, 0, minor=9)))
-        ((welcome, _),) = wire.server.outgoing()
-        assert decode(welcome).header.minor == 0
-        session = decode(welcome).header.session
-        events = wire.give_server(encode(Command(1, CommandCode.STOP), Header(session, 2, 0, minor=9)))
-        assert dropped_causes(events) == ["session.wrong_minor"]
-
     def test_a_capability_is_granted_only_if_both_have_it(self) -> None:
         wire = Wire(server=a_server(capabilities=0)).connect()
         with pytest.raises(errors.RequestRefused) as caught:
             wire.client.submit(ReferencePath(0, (IDENTITY,), 0.0, 0.0), wire.now_ns)
         assert caught.value.cause == "refused.not_negotiated"
-
-    def test_a_path_that_was_not_negotiated_is_refused_by_the_server_too(self) -> None:
-        wire = Wire(client=ReferenceClient(7, capabilities=0)).connect()
-        path = encode(
-            ReferencePath(5, (IDENTITY,), 0.0, 0.0), Header(wire.server.session or 0, 500, wire.now_ns)
-        )
-        assert wire.give_server(path) == []
-        assert Reason.NOT_NEGOTIATED in [
-            decode(data).message.reason
-            for data, _ in wire.server.outgoing()
-            if kind_of(data) == "Acknowledgement"
-        ]
-
-    def test_a_second_client_is_refused_and_gets_in_once_the_first_has_left(self) -> None:
-        wire = Wire().connect()
-        second = ReferenceClient(99)
-        second.connect(wire.now_ns)
-        events = [wire.give_server(data, "elsewhere") for data in second.outgoing()]
-        assert dropped_causes(events[0]) == ["session.occupied"]
-        refusal = next(data for data, source in wire.server.outgoing() if source == "elsewhere")
-        assert second.receive(refusal, wire.now_ns) == [ConnectionDelayed(Reason.SESSION_OCCUPIED)]
-        assert wire.server.link_alive(wire.server_ns)
-        wire.client.disconnect(wire.now_ns)
-        wire.run(5)
-        wire.now_ns += 200 * MS
-        second.tick(wire.now_ns)
-        for data in second.outgoing():
-            wire.give_server(data, "elsewhere")
-        for data, source in wire.server.outgoing():
-            assert source == "elsewhere"
-            second.receive(data, wire.now_ns)
-        assert second.connected
 
 
 class TestClosing:
@@ -183,26 +112,6 @@ class TestClosing:
             next(e.session for e in wire.server_events if isinstance(e, SessionOpened)), Reason.LINK_TIMEOUT
         )
 
-    @pytest.mark.parametrize(("lost", "survives"), [(4, True), (5, False)])
-    def test_four_heartbeats_lost_in_a_row_are_survived_and_five_are_not(
-        self, lost: int, survives: bool
-    ) -> None:
-        wire = Wire().connect().run(500)
-        victims = []
-
-        def loses(direction: str, data: bytes) -> bool:
-            if direction == "up" and len(victims) < lost:
-                victims.append(data)
-                return True
-            return False
-
-        wire.loses = loses
-        wire.run(lost * 50 + 60)
-        assert len(victims) == lost
-        assert wire.server.link_alive(wire.server_ns) == survives
-        if survives:
-            assert (wire.server.statistics.lost, wire.server.statistics.longest_gap) == (4, 4)
-
     def test_the_server_tells_a_deaf_client_that_it_gave_up(self) -> None:
         wire = Wire().connect()
         wire.loses = lambda direction, data: direction == "up"
@@ -217,17 +126,6 @@ class TestClosing:
 
 
 class TestRestarts:
-    def test_a_restarted_client_at_the_same_address_takes_over_and_old_requests_do_not(self) -> None:
-        wire = Wire(answer=None).connect()
-        old_session = wire.server.session
-        wire.client.submit(MOVE, wire.now_ns)
-        (move,) = wire.client.outgoing(wire.now_ns)
-        wire.client = ReferenceClient(8)
-        wire.connect()
-        assert SessionClosed(old_session or 0, Reason.PEER_RESTARTED) in wire.server_events
-        assert dropped_causes(wire.give_server(move)) == ["session.unknown"]
-        assert wire.requests() == []
-
     def test_a_restarted_client_at_another_address_waits_for_the_timeout(self) -> None:
         wire = Wire().connect()
         wire.client = ReferenceClient(8)
@@ -262,24 +160,6 @@ class TestRestarts:
         with pytest.raises(errors.LinkLost) as caught:
             wire.client.submit(STOP, wire.now_ns)
         assert caught.value.cause == "link.not_connected"
-
-    def test_a_recorded_hello_opens_nothing_later(self) -> None:
-        wire = Wire().connect().run(50)
-        hello = wire.sent_up[0]
-        assert dropped_causes(wire.give_server(hello)) == ["sequence.duplicate"]
-        wire.client.disconnect(wire.now_ns)
-        wire.run(5)
-        assert dropped_causes(wire.give_server(hello)) == ["session.hello_replayed"]
-        assert wire.server.session is None
-
-    def test_a_hello_that_was_delayed_past_the_next_one_does_not_take_over(self) -> None:
-        wire = Wire()
-        wire.client.connect(wire.now_ns)
-        (delayed,) = wire.client.outgoing(wire.now_ns)
-        wire.now_ns += 10 * MS
-        wire.connect()
-        assert dropped_causes(wire.give_server(delayed)) == ["session.hello_replayed"]
-        assert wire.server.link_alive(wire.server_ns)
 
     def test_connecting_anew_gives_the_old_session_and_its_requests_up(self) -> None:
         wire = Wire(answer=None).connect()

@@ -1,14 +1,10 @@
 """Requests of a session on a wire that delays, loses, repeats and reorders."""
 
-from collections.abc import Sequence
-from functools import partial
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.wire import with_number
 from protocol import errors
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode
@@ -17,15 +13,13 @@ from protocol.pose import IDENTITY
 from protocol.reference_messages import (
     Acknowledgement,
     Command,
-    Heartbeat,
-    HeartbeatReply,
     ReferencePath,
     ReferencePose,
 )
 from protocol.session_events import (
     SessionLost,
 )
-from tests.protocol.wire import MS, Wire, a_server, answers, dropped_causes, kind_of
+from tests.protocol.wire import MS, Wire, a_server, answers, kind_of
 
 STOP = Command(0, CommandCode.STOP)
 ENABLE = Command(0, CommandCode.ENABLE)
@@ -62,15 +56,6 @@ class TestRequests:
         assert len(wire.requests()) == 1
         assert answers(wire) == [Acknowledgement(asked, Reason.UNREACHABLE, 0.0, 0.0)]
 
-    def test_one_datagram_a_hundred_times_has_one_effect(self) -> None:
-        wire = Wire().connect()
-        wire.client.submit(MOVE, wire.now_ns)
-        (move,) = wire.client.outgoing(wire.now_ns)
-        events = [wire.give_server(move) for _ in range(100)]
-        assert len(wire.requests()) == 1
-        assert [dropped_causes(e) for e in events[1:]] == [["sequence.duplicate"]] * 99
-        assert wire.server.statistics.duplicated == 99
-
     def test_a_request_is_not_answered_before_the_controller_has_decided(self) -> None:
         wire = Wire(answer=None).connect()
         asked = wire.client.submit(MOVE, wire.now_ns)
@@ -80,61 +65,6 @@ class TestRequests:
         wire.server.acknowledge(Acknowledgement(asked, Reason.JOINT_LIMIT, 1.7, 1.6), wire.server_ns)
         wire.run(10)
         assert answers(wire) == [Acknowledgement(asked, Reason.JOINT_LIMIT, 1.7, 1.6)]
-
-    def test_a_motion_cannot_overtake_the_stop_that_was_to_end_it(self) -> None:
-        wire = Wire().connect()
-        wire.loses_first(1, "ReferencePose")
-        moved = wire.client.submit(MOVE, wire.now_ns)
-        stopped = wire.client.submit(STOP, wire.now_ns)
-        wire.run(200)
-        assert wire.requests() == [STOP._replace(command_id=stopped)]
-        assert Acknowledgement(moved, Reason.OVERTAKEN, float(moved), float(stopped)) in answers(wire)
-
-    def test_an_id_with_another_content_is_refused(self) -> None:
-        wire = Wire().connect()
-        session = wire.server.session or 0
-        send = partial(Header, session)
-        wire.give_server(encode(Command(5, CommandCode.ENABLE), send(100, wire.now_ns)))
-        wire.give_server(encode(Command(5, CommandCode.STOP), send(101, wire.now_ns)))
-        replies = [
-            decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
-        ]
-        assert replies == [
-            Acknowledgement(5, Reason.ACCEPTED, 0.0, 0.0),
-            Acknowledgement(5, Reason.REPEATED_COMMAND_ID, 0.0, 0.0),
-        ]
-        assert len(wire.requests()) == 1
-
-    @pytest.mark.parametrize(
-        ("request_", "ignored"),
-        [
-            (ENABLE._replace(command_id=5), range(52, 56)),
-            (ReferencePath(5, (IDENTITY,), 0.0, 0.0), [*range(52, 56), *range(56 + 56, 40 + 1360)]),
-        ],
-        ids=["Command", "ReferencePath"],
-    )
-    def test_padding_and_unused_waypoints_do_not_make_another_request(
-        self, request_: Command | ReferencePath, ignored: Sequence[int]
-    ) -> None:
-        wire = Wire().connect()
-        plain = bytearray(encode(request_, Header(wire.server.session or 0, 100, wire.now_ns)))
-        wire.give_server(bytes(plain))
-        for n, place in enumerate([ignored[0], ignored[-1], *ignored[:: max(len(ignored) // 7, 1)]]):
-            dirty = bytearray(plain)
-            dirty[place] = 0xA5
-            wire.give_server(with_number(bytes(dirty), 24, "I", 101 + n))
-        replies = [decode(d).message for d, _ in wire.server.outgoing() if kind_of(d) == "Acknowledgement"]
-        assert len(replies) > 4
-        assert set(replies) == {Acknowledgement(5, Reason.ACCEPTED, 0.0, 0.0)}
-        assert wire.requests() == [request_]
-
-    def test_a_heartbeat_s_own_time_is_repeated_as_it_came(self) -> None:
-        wire = Wire().connect()
-        session = wire.server.session or 0
-        for n, sent_ns in enumerate((0, 1, 2**64 - 1)):
-            wire.give_server(encode(Heartbeat(sent_ns), Header(session, 100 + n, wire.now_ns)))
-        replies = [m for d, _ in wire.server.outgoing() if isinstance(m := decode(d).message, HeartbeatReply)]
-        assert [reply.sent_ns for reply in replies] == [0, 1, 2**64 - 1]
 
     def test_a_request_with_nan_is_recognised_when_it_comes_again(self) -> None:
         wire = Wire(answer=Reason.NOT_FINITE).connect()
@@ -146,15 +76,6 @@ class TestRequests:
         ]
         assert replies == [Acknowledgement(5, Reason.NOT_FINITE, 0.0, 0.0)] * 2
         assert len(wire.requests()) == 1
-
-    def test_what_no_request_can_say_is_answered_by_the_session(self) -> None:
-        wire = Wire().connect()
-        command = encode(Command(5, CommandCode.STOP), Header(wire.server.session or 0, 100, wire.now_ns))
-        assert wire.give_server(with_number(command, 48, "I", 77)) == []
-        replies = [
-            decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
-        ]
-        assert replies == [Acknowledgement(5, Reason.UNKNOWN_COMMAND, 77.0, 0.0)]
 
     def test_stops_are_repeated_before_all_other_open_requests(self) -> None:
         wire = Wire().connect()

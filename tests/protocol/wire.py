@@ -7,7 +7,7 @@ from typing import Any
 from protocol.client_session import ReferenceClient
 from protocol.datagram import decode
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement, Bye
+from protocol.reference_messages import Acknowledgement
 from protocol.server_session import ReferenceServer
 from protocol.session_events import (
     AcknowledgementReceived,
@@ -146,9 +146,3 @@ def dropped_causes(events: Sequence[object]) -> list[str]:
 def answers(wire: Wire) -> list[Acknowledgement]:
     """What the client has been acknowledged."""
     return [e.acknowledgement for e in wire.client_events if isinstance(e, AcknowledgementReceived)]
-
-
-def byes(wire: Wire) -> list[Reason]:
-    """Reasons of the BYEs that the server has queued."""
-    messages = [decode(data).message for data, _ in wire.server.outgoing(wire.server_ns)]
-    return [message.reason for message in messages if isinstance(message, Bye)]

@@ -7,8 +7,6 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from controller.core.excitation.plan import (
-    Excitation,
-    ExcitationPlan,
     Measured,
     Phase,
     StrokeKind,
@@ -46,90 +44,6 @@ def test_an_excitation_ends_where_it_began() -> None:
     valve = ToyValve(2, 0.01, 0.008)
     tried(valve, plan_for(2))
     assert abs(valve.q[2] - START[2]) < 0.02
-
-
-def test_a_step_that_runs_away_ends_and_makes_the_next_one_smaller() -> None:
-    """Ramps saw a quarter of what the valve gives further out, as behind a load that swings."""
-    plan = plan_for(5)
-    first = next(k for k, stroke in enumerate(plan.strokes) if stroke.kind is StrokeKind.STEP)
-    rim, slope = np.zeros((6, 2)), np.ones((6, 2))
-    rim[5] = 0.05
-    state = begun(START, first)._replace(rim=rim, slope=slope, still_s=9.0, phase_s=9.0)
-    q, speed, spools = START.copy(), np.zeros(6), [0.0]
-    while state.stroke == first and len(spools) < 400:
-        state, trouble = excite(plan, state, Measured(q, 100.0), DT_S)
-        assert trouble is None
-        spools.append(abs(state.spool))
-        speed[5] = 4.0 * max(spools[-1] - 0.05, 0.0)
-        q = q + DT_S * speed
-    opened = max(spools) - 0.05
-    assert opened == pytest.approx(plan.strokes[first].speed, rel=1e-6)
-    assert state.slope[5, 0] == pytest.approx(4.0, rel=0.1)
-    again = state._replace(stroke=first + 2, still_s=9.0, phase_s=9.0, speed=np.zeros(6), q_before=q)
-    again, _ = excite(plan, again, Measured(q, 100.0), DT_S)
-    assert abs(again.spool) - 0.05 == pytest.approx(plan.strokes[first + 2].speed / 4.0, rel=0.15)
-
-
-def at_a_full_ramp(**now: float) -> tuple[ExcitationPlan, Excitation]:
-    """Wrist 3 in its second full triangle out: earlier ones saw it open at 0.05, and 0.03 of slack."""
-    plan = plan_for(5)
-    known = np.zeros((6, 2))
-    rim, slope = known.copy(), known.copy()
-    rim[5], slope[5] = 0.05, 2.0
-    slack = np.zeros(6)
-    slack[5] = 0.03
-    state = begun(START, 4)._replace(rim=rim, slope=slope, slack=slack, away=1.0, **now)
-    assert plan.strokes[4].speed == plan.limits.top_speed[5]
-    return plan, state
-
-
-def scanned(plan: ExcitationPlan, state: Excitation, speed: float) -> Excitation:
-    """``state`` after one scan in which wrist 3 turned at ``speed`` (rad/s), as before."""
-    q, speeds = state.q_before.copy(), np.zeros(6)
-    q[5] += DT_S * speed
-    speeds[5] = speed
-    state, trouble = excite(plan, state._replace(speed=speeds), Measured(q, 100.0), DT_S)
-    assert trouble is None
-    return state
-
-
-@pytest.mark.parametrize(
-    ("low_share", "rim", "slope"), [(0.3, 0.08 - 0.02 * 0.3 / 0.7, 0.7 / 0.02), (0.8, 0.05, None)]
-)
-def test_a_rim_that_a_swinging_load_told_is_not_believed(
-    low_share: float, rim: float, slope: float | None
-) -> None:
-    """``low_share`` of the top's speed at 0.08 of 0.1: on the crest of its swing a boom was quick there."""
-    plan, state = at_a_full_ramp(phase=Phase.RISING, spool=0.1, low=0.08)
-    speed = plan.strokes[4].speed
-    state = scanned(plan, state._replace(low_speed=low_share * speed), 1.001 * speed)
-    assert state.phase is Phase.TURNING
-    assert state.rim[5, 0] == pytest.approx(rim, abs=1e-4)
-    assert state.slope[5, 0] == pytest.approx(slope * speed if slope else 2.0, rel=0.01)
-
-
-def test_a_falling_ramp_is_slow_even_if_a_swing_hides_that_it_falls() -> None:
-    plan, state = at_a_full_ramp(phase=Phase.TURNING, spool=0.07, top=0.1, top_speed=0.05)
-    spools = [state.spool]
-    for _ in range(60):
-        state = scanned(plan, state, 0.05)  # no slower than at the top
-        spools.append(state.spool)
-    quick = -np.diff(spools) > 1.5 * plan.limits.ramp_rate * DT_S
-    assert spools[0] - spools[np.flatnonzero(quick)[-1] + 1] == pytest.approx(0.5 * (0.1 - 0.05), abs=1e-3)
-    assert not quick[-20:].any()  # to 0 and past it before
-    assert state.slack[5] == 0.03
-
-
-def test_a_falling_ramp_goes_on_while_a_swinging_load_stands_at_its_turn() -> None:
-    """A slew's swing of 1.5 Hz takes all of a slow turn away for a third of a second, and oil still flows."""
-    plan, state = at_a_full_ramp(phase=Phase.FALLING, spool=0.07, top=0.1, top_speed=0.05)
-    for _ in range(33):
-        state = scanned(plan, state, 0.0)
-        assert state.phase is Phase.FALLING
-    for _ in range(12):
-        state = scanned(plan, state, 0.0)
-    assert state.phase is Phase.RESTING
-    assert state.stroke == 5
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,11 @@ import pytest
 
 from controller.commissioning import basis_of, commissioned_config
 from controller.config import ControllerConfig
-from controller.core.parking.joint import JOG, SHUT, ParkingLaw, joints_at_start, joints_in_motion
+from controller.core.parking.joint import SHUT, ParkingLaw, joints_at_start, joints_in_motion
 from controller.core.parking.metering import decompression_spool, oil_to_release
-from controller.core.parking.parking import _has_arrived as has_arrived
-from controller.core.parking.parking import needs_move, phase_spool
+from controller.core.parking.parking import phase_spool
 from controller.core.parking.rest import (
     all_within,
-    allowed_offset,
     arm_rested,
     follow_backlash_sides,
     judge_rest,
@@ -84,48 +82,6 @@ def test_the_flank_is_that_of_the_last_turn_and_noise_is_none() -> None:
     assert ended["oil"]["relaxed"][0] == 1.0
 
 
-@pytest.mark.parametrize("joint", [0, 2])
-def test_a_joint_is_brought_back_only_from_beyond_its_play(joint: int) -> None:
-    least = LEAVES_RAD if joint == 0 else BAND_RAD
-    state = joints_at_start(LAW)
-    state["phase"], state["band"] = SHUT, BAND_RAD
-    for came in (-1.0, 1.0):
-        state["side"]["sense"] = came
-        most = LEAVES_RAD + PLAY_RAD
-        if joint != 0:  # a loaded joint sinks; raising it always ends on the same flank
-            most = LEAVES_RAD if came > 0.0 else least
-        for share, due in ((0.9, False), (1.1, True)):
-            assert needs_move(LAW, state[joint], joint, (-came * share * most, 0.0, 2.0), False) is due, (
-                came,
-                share,
-            )
-        for share, due in ((0.9, False), (1.1, True)):  # short of its place there is no play to go through
-            assert needs_move(LAW, state[joint], joint, (came * share * least, 0.0, 2.0), False) is due, (
-                came,
-                share,
-            )
-        assert needs_move(UNKNOWN, state[joint], joint, (-came * 1.1 * least, 0.0, 2.0), False)
-    narrow = LAW._replace(backlash=1e-4 * ONES)
-    assert allowed_offset(narrow, state[joint], joint, -3e-4, 1e-4) == pytest.approx(2e-4)
-    assert allowed_offset(LAW, state[joint], joint, 3e-4, 1e-4) == 1e-4
-
-
-@pytest.mark.parametrize("came", [-1.0, 1.0])
-def test_the_joint_law_takes_no_joint_back_through_its_play(came: float) -> None:
-    def shut_valve(law: ParkingLaw, error: float, joint: int = 0) -> bool:
-        state = joints_at_start(law)
-        state["band"], state["side"]["sense"] = BAND_RAD, came
-        return has_arrived(law, state[joint], joint, came * error, 0.0) and state["phase"][joint] == SHUT
-
-    most = LEAVES_RAD + PLAY_RAD
-    assert shut_valve(LAW, -0.1 * LEAVES_RAD)  # as soon as it has passed its end
-    assert shut_valve(LAW, -0.9 * most)
-    assert not shut_valve(LAW, -1.1 * most)  # farther off than its play is wide
-    assert not shut_valve(LAW, 0.9 * most)  # short of its end
-    assert not shut_valve(LAW, -0.9 * most, joint=2)  # a loaded joint sinks by itself
-    assert not shut_valve(UNKNOWN, -0.5 * LEAVES_RAD)
-
-
 def test_an_arm_whose_slew_came_too_far_rests_and_is_settled_until_it_goes_on(
     arm: NominalArm, config: ControllerConfig
 ) -> None:
@@ -158,40 +114,6 @@ def test_an_arm_whose_slew_came_too_far_rests_and_is_settled_until_it_goes_on(
     assert not settled(here, 3.1e-4)
     assert not settled(short, -9e-4)
     assert all_within(settings.parking, here, here["error"], LEAVES_RAD)
-
-
-@pytest.mark.parametrize("came", [-1.0, 1.0])
-def test_oil_that_presses_on_is_let_out_of_a_joint_at_its_place(came: float) -> None:
-    def out(presses: float, error: float = 0.0, ease: float = 0.0) -> float:
-        state = joints_at_start(LAW)
-        state["error"], state["oil"]["error"], state["oil"]["relaxed"] = (
-            came * error,
-            came * (error - presses),
-            came * ease,
-        )
-        return came * oil_to_release(LAW, state[0], 0)
-
-    assert out(2e-3) == pytest.approx(-(2e-3 - 0.5 * LEAVES_RAD))
-    assert out(0.9 * LEAVES_RAD) == 0.0  # it goes on by no more than it may be off
-    assert out(2e-3, error=0.8 * LEAVES_RAD) == pytest.approx(-(2e-3 - 0.8 * LEAVES_RAD))  # keeps that
-    assert out(2e-3, error=1.1 * LEAVES_RAD) == 0.0  # not there yet
-    assert out(2e-3, error=-5e-4) == pytest.approx(-(2e-3 - 0.5 * LEAVES_RAD))
-    assert out(2e-3, ease=6e-4) == pytest.approx(-(1.4e-3 - 0.5 * LEAVES_RAD))  # a load that stays
-    assert out(-3e-4, ease=-9e-4) == pytest.approx(-(6e-4 - 0.5 * LEAVES_RAD))
-    most = 1.4e-3 + 2.0 * LEAVES_RAD  # friction holds no more
-    assert out(1e-3, ease=-4e-3) == pytest.approx(-(most - 0.5 * LEAVES_RAD))
-
-
-def test_what_a_joint_is_loaded_with_is_learned_while_it_rests() -> None:
-    state = joints_at_start(LAW)
-    state["phase"], state["rest"][0], state["oil"]["error"][1] = SHUT, 1.0, 0.0
-    for _ in range(round(20.0 / DT_S)):
-        assert decompression_spool(LAW, state[0], 0, 2.0) == 0.0
-    assert state["oil"]["relaxed"][0] == pytest.approx(2.0 * OIL_RAD_BAR, rel=0.03)
-    assert not state["oil"]["relaxed"][1:].any()
-    state["rest"][0], state["oil"]["error"][0] = 0.0, -3e-3
-    assert decompression_spool(LAW, state[0], 0, 2.0) < 0.0
-    assert state["phase"].tolist() == [JOG, *[SHUT] * 5]
 
 
 def test_oil_is_let_out_of_a_raised_joint_where_its_load_is_known() -> None:
@@ -230,25 +152,6 @@ def test_oil_is_let_out_of_a_raised_joint_where_its_load_is_known() -> None:
     assert out(60.0, at=0.606) == 0.0  # gravity may be otherwise there
     state["oil"]["relaxed"][1] = 0.0
     assert out(60.0) == 0.0  # nothing was learned
-
-
-def test_a_raised_joint_that_has_arrived_opens_its_valve_to_let_oil_out() -> None:
-    """Before it is off its place at all; one whose play nobody has found waits until it is."""
-
-    def spool(law: ParkingLaw) -> float:
-        state = joints_at_start(law)
-        state["phase"], state["since"], state["band"] = SHUT, 1.0, BAND_RAD
-        (
-            state["side"]["sense"][1],
-            state["side"]["angle"][1],
-            state["oil"]["relaxed"][1],
-            state["oil"]["relaxed_at"][1],
-        ) = 1.0, 0.6, 57.0 * OIL_RAD_BAR, 0.6
-        state["oil"]["error"][1] = -60.0 * OIL_RAD_BAR
-        return float(phase_spool(law, state, 1, 0.0, 60.0, GAINS))
-
-    assert spool(LAW) < 0.0
-    assert spool(UNKNOWN) == 0.0
 
 
 class Arrived(NamedTuple):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
-from controller.core.parking.joint import SHUT, ParkingLaw, joints_at_start, joints_in_motion
-from controller.core.parking.metering import learn_from_metered, start_metered
+from controller.core.parking.joint import SHUT, ParkingLaw, joints_at_start
+from controller.core.parking.metering import start_metered
 from controller.core.parking.parking import phase_spool
 from controller.core.parking.rest import watch_creep
 from controller.core.servo_settings import parking_law
@@ -137,44 +137,6 @@ def test_a_joint_that_sticks_gets_more_oil_each_time() -> None:
     start_metered(state[0], -1e-3)  # it went too far: what stuck does no more
     assert state["oil"]["share"][0] == 1.0
     assert state["jog"]["sense"][0] == -1.0
-
-
-def test_where_the_edge_is_is_learned_from_what_has_passed() -> None:
-    def after(passed: float) -> np.ndarray:
-        state = joints_at_start(METERED)
-        state["jog"]["sense"], state["oil"]["travel"], state["oil"]["opened"], state["jog"]["spool"] = (
-            1.0,
-            1e-3,
-            0.5,
-            0.09,
-        )
-        state["oil"]["start"], state["oil"]["end"] = 2e-3, 2e-3 - passed
-        learn_from_metered(METERED, state[0], 0, GAINS)
-        return state[0]
-
-    assert after(1e-3)["valve"]["edge"][0] > 0.081
-    assert after(1e-3)["valve"]["edge"][1] == 0.08  # the other side's
-    assert after(2e-3)["valve"]["edge"][0] == pytest.approx(0.08 - 0.1 * 0.08)  # a tenth at least
-    assert after(6e-3)["valve"]["edge"][0] == pytest.approx(0.08 - 5e-3 / (GAIN * 0.5))
-    assert after(1.0)["valve"]["edge"][0] == pytest.approx(0.5 * 0.08)
-    assert after(1e-3)["valve"]["doubt"][0] == pytest.approx(0.5 * 0.1 * 0.08)
-    assert after(1e-3)["oil"]["opened"] == 0.0
-
-
-def test_a_motion_forgets_the_last_inch() -> None:
-    """What it was for says nothing of the next one's friction; an inch that it cut short taught nothing."""
-    state = joints_at_start(METERED)
-    state["oil"]["travel"], state["oil"]["share"], state["oil"]["opened"], state["valve"]["edge"] = (
-        1e-3,
-        8.0,
-        0.4,
-        0.07,
-    )
-    after = joints_in_motion(state)
-    assert not after["oil"]["travel"].any()
-    assert not after["oil"]["opened"].any()
-    assert (after["oil"]["share"] == 1.0).all()
-    assert (after["valve"]["edge"] == 0.07).all()
 
 
 def test_a_valve_without_hysteresis_is_not_metered_nor_parked_by_itself() -> None:

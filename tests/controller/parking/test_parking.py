@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from controller.core.parking.jogs import pulse_spool, start_pulse
 from controller.core.parking.joint import (
     FOLLOW,
     JOG,
@@ -19,10 +18,8 @@ from controller.core.parking.parking import phase_spool
 from controller.core.parking.rest import arm_parked, is_parked, watch_creep
 from tests.controller.parking.poor_joint import (
     BAND_RAD,
-    DIGIT,
     DT_S,
     GAINS,
-    ONES,
     Joint,
     poor_law,
     resting,
@@ -50,90 +47,6 @@ def test_a_parked_joint_that_creeps_is_nudged_within_the_play_of_its_encoder(
     assert (np.sign(opened) == -np.sign(creep)).all()
     assert set(rest.phases) == {SHUT, PULSE}
     assert (rest.spools != 0.0).mean() < 0.15
-
-
-def test_a_parked_joint_is_nudged_by_what_it_creeps_not_by_what_it_crept() -> None:
-    """A crane's loads crept thirty times as fast before the arm was parked: weak nudges were taken for strong
-    ones, and with each of a dozen in ten minutes the encoders sank by a part of a digit."""
-    law, state = poor_law(0.08, 0.004), joints_at_start(poor_law(0.08, 0.004))
-    state["phase"] = SHUT
-    state["band"] = BAND_RAD
-    state["jog"]["sense"] = 1.0
-    state["pulse"]["since"] = 100.0
-    state["creep"], state["pulse"]["spool"], state["pulse"]["push"] = 8e-6, 0.04, 0.03
-    here = arm_parked(state)
-    rng, creep = np.random.default_rng(3), 2.5e-7
-    for scan in range(round(400.0 / DT_S)):
-        here["since"][0] += DT_S
-        here["pulse"]["since"][0] += DT_S
-        error = creep * DT_S * scan + rng.normal(0.0, 0.3 * DIGIT)
-        watch_creep(law, here[0], 0, 4.0, error, 50.0)
-        if phase_spool(law, here, 0, error, 50.0, GAINS) > 0.0:
-            break
-    assert here["phase"][0] == PULSE
-    assert here["creep"][0] == pytest.approx(creep, rel=0.2)
-    assert here["pulse"]["push"][0, 0] > 0.03
-
-
-@pytest.mark.parametrize(("after", "grows"), [(5.0, False), (40.0, True)])
-def test_a_nudge_that_did_not_hold_says_nothing_of_how_strong_it_was(after: float, grows: bool) -> None:
-    """Between a drive's end and its look oil still relaxes: each nudge was due again within seconds and
-    twice as strong, until one of 1.7 bar took a crane's lift through its play, the tool by 5 mm."""
-    law, state = poor_law(0.08, 0.004), joints_at_start(poor_law(0.08, 0.004))
-    state["band"], state["jog"]["sense"], state["creep"], state["pulse"]["spool"], state["pulse"]["push"] = (
-        BAND_RAD,
-        1.0,
-        4e-6,
-        0.04,
-        0.3,
-    )
-    pushes = []
-    for _ in range(8):
-        state["pulse"]["since"][0] = after
-        start_pulse(law, state[0], 0, state["pulse"]["error"][0] + 4e-6 * after, 1.0, 50.0)
-        pushes.append(state["pulse"]["push"][0, 0])
-    assert (pushes[0] > 0.3) == grows
-    assert max(pushes) <= 0.8  # a crane's lift rises by 0.15 mrad
-
-
-def test_nudges_that_never_hold_become_harder_up_to_what_they_may_raise() -> None:
-    """A wrist that leaked 16 µrad/s was nudged by the same 0.1 mrad each six seconds: its encoder sank by
-    7 µrad with each, and the tool by a millimetre in ten minutes."""
-    law, state = (
-        poor_law(0.08, 0.004)._replace(oil_spring=2e-4 * ONES),
-        joints_at_start(poor_law(0.08, 0.004)),
-    )
-    state["band"], state["jog"]["sense"], state["creep"], state["pulse"]["spool"], state["pulse"]["push"] = (
-        BAND_RAD,
-        1.0,
-        4e-6,
-        0.04,
-        0.15,
-    )
-    pushes = []
-    for _ in range(20):
-        state["pulse"]["since"][0] = 6.0
-        start_pulse(law, state[0], 0, state["pulse"]["error"][0] + 7e-6, 1.0, 50.0)
-        pushes.append(state["pulse"]["push"][0, 0])
-    assert (np.diff(pushes[:8]) > 0.0).all()
-    assert pushes[-1] == pytest.approx(0.8)
-    weak = law._replace(oil_spring=5e-4 * ONES)  # 0.4 bar raise this one by two bands
-    state["pulse"]["push"] = 0.15
-    for _ in range(20):
-        state["pulse"]["since"][0] = 6.0
-        start_pulse(weak, state[0], 0, state["pulse"]["error"][0] + 7e-6, 1.0, 50.0)
-    assert 0.3 < state["pulse"]["push"][0, 0] <= 0.4
-
-
-@pytest.mark.parametrize(("band", "rises"), [(3e-5, 1e-3), (2e-4, 4e-3)])
-def test_the_wider_its_band_the_faster_a_joint_is_nudged(band: float, rises: float) -> None:
-    """A first nudge took 42 s to open a wrist's valve, while the wrist leaked by 0.7 mrad."""
-    law, state = poor_law(0.08, 0.004), joints_at_start(poor_law(0.08, 0.004))
-    state["band"], state["phase"] = band, PULSE
-    began = start_pulse(law, state[0], 0, 0.0, 1.0, 50.0)
-    for _ in range(round(1.0 / DT_S)):
-        opened = pulse_spool(law, state[0], 0, 0.0, 50.0, GAINS)
-    assert opened - began == pytest.approx(rises / GAINS[0], rel=1e-3)
 
 
 def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:

@@ -12,9 +12,8 @@ from controller.core.parking.joint import (
     SHUT,
     ParkingLaw,
     joints_at_start,
-    joints_in_motion,
 )
-from controller.core.parking.parking import needs_move, next_move
+from controller.core.parking.parking import needs_move
 from controller.core.parking.rest import arm_rested, judge_rest, may_stop_here, unsettled_joints
 from controller.core.scan_types import ScanEvent
 from controller.core.standing import _at_rest
@@ -87,21 +86,6 @@ def test_a_resting_joint_that_others_push_is_judged_anew_until_the_arm_rests() -
     assert here["rest"][2] == ARM_RESTS
 
 
-def test_an_arm_at_rest_keeps_its_places() -> None:
-    state = _shut_at(1e-4)
-    _passed(state, 1.1 * CALM_S)
-    state["error"] += 2e-5  # crept, but not so far that it matters
-    state["rest"][5] = 0.0
-    here = arm_rested(state)
-    assert (here["rest"] == ARM_RESTS).all()
-    assert here["place"][0] == 1e-4
-    assert here["place"][5] == here["error"][5]
-    moving = joints_in_motion(here)
-    assert not moving["rest"].any()
-    assert not moving["place"].any()
-    assert not moving["watch"]["calm"].any()
-
-
 def test_an_arm_that_does_not_come_to_rest_stays_as_it_is_and_tells_which_joint() -> None:
     state, events = _shut_at(0.0), list[ScanEvent]()
     _passed(state, 1.1 * CALM_S)
@@ -121,29 +105,6 @@ def test_an_arm_that_does_not_come_to_rest_stays_as_it_is_and_tells_which_joint(
     assert events == [ScanEvent("restless", "SLEW", 1.2, CALM_S)]
     assert _at_rest(LAW, True, LAW.give_up + 0.2, here, events) == (True, here)
     assert len(events) == 1
-
-
-def test_an_arm_whose_joints_all_rest_does_so_at_once_and_tells_nothing() -> None:
-    state, events = _shut_at(0.0), list[ScanEvent]()
-    _passed(state, 1.1 * CALM_S)
-    rests, here = _at_rest(LAW, False, 5.0, state, events)
-    assert rests
-    assert (here["rest"] == ARM_RESTS).all()
-    assert events == []
-
-
-def test_a_slew_is_brought_back_only_when_the_arm_would_not_be_settled_and_half_of_the_way() -> None:
-    """It relaxes by as much again as an inch moves it, and every inch costs its play."""
-    state = _shut_at(0.0)
-    due = [
-        needs_move(LAW, state[joint], joint, (off, 0.0, 2.0), False)
-        for joint in (0, 1)
-        for off in (9e-5, 2.5e-4, 2.8e-4)
-    ]
-    assert due == [False, False, True, False, True, True]
-    for joint, off, way in ((0, 4e-4, 2e-4), (0, 6e-4, 6e-4), (1, 4e-4, 4e-4)):
-        next_move(LAW, state[joint], joint, (0.0, off, 0.0, 2.0))
-        assert state["oil"]["travel"][joint] == pytest.approx(way)
 
 
 @pytest.mark.parametrize("joint", [0, 3])

@@ -62,12 +62,6 @@ def test_pt1_equals_the_analytic_step_response_at_every_sample(dt_s: float, tau:
         value = pt1_step(value, 3.0, tau, dt_s)
 
 
-def test_pt1_does_not_depend_on_how_time_is_cut() -> None:
-    assert pt1_step(pt1_step(0.4, 2.0, 0.1, 0.02), 2.0, 0.1, 0.03) == pytest.approx(
-        pt1_step(0.4, 2.0, 0.1, 0.05)
-    )
-
-
 def test_proportional_law_is_scaled_by_the_nominal_speeds() -> None:
     error = np.array([0.1, -0.1, 0.2, 0.0, -0.2, 0.05])
     u, _ = valve_commands(PLAIN, REST, error, np.zeros(6), NO_LOAD, SPEEDS, 0.005)

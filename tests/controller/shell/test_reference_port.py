@@ -20,7 +20,7 @@ from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import Command, ReferencePose
 from protocol.server_session import ReferenceServer
-from protocol.session_events import Connected, ConnectionDelayed, SessionLost
+from protocol.session_events import Connected, SessionLost
 
 pytestmark = pytest.mark.realtime
 
@@ -90,14 +90,6 @@ def _take(port: ReferencePort) -> tuple[tuple[Request, ...], bool]:
     return port.take(time.monotonic_ns())
 
 
-async def test_heartbeats_are_answered_without_a_scan(port: ReferencePort, meet: Meet) -> None:
-    peer = meet(port, 1)
-    await peer.connect()
-    peer.session.tick(time.monotonic_ns() + 200_000_000)
-    await peer.turn()
-    assert peer.session.clock_offset_ns is not None
-
-
 async def test_requests_wait_for_the_scan_in_order(port: ReferencePort, meet: Meet) -> None:
     assert _take(port) == ((), False)
     peer = meet(port, 2)
@@ -118,17 +110,6 @@ async def test_a_silent_peer_is_gone_after_the_timeout(port: ReferencePort, meet
     assert _take(port)[1]
     await asyncio.sleep(TIMEOUT_MS * 1e-3 + 0.05)
     assert not _take(port)[1]
-
-
-async def test_a_second_client_is_refused_while_the_first_is_there(port: ReferencePort, meet: Meet) -> None:
-    first, second = meet(port, 4), meet(port, 5)
-    await first.connect()
-    second.session.connect(time.monotonic_ns())
-    await second.turn()
-    assert [event.reason for event in second.events if isinstance(event, ConnectionDelayed)] == [
-        Reason.SESSION_OCCUPIED
-    ]
-    assert _take(port)[1]
 
 
 async def test_a_restarted_peer_does_not_inherit_what_the_old_one_had_set_in_motion(

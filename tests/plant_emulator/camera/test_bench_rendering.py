@@ -127,15 +127,6 @@ def one_thread() -> object:
 
 @pytest.mark.bench
 @pytest.mark.usefixtures("one_thread")
-def test_a_pair_with_everything_on(benchmark) -> None:  # type: ignore[no-untyped-def]
-    eyes = shipped_camera()
-    view = start_view(eyes.scene)
-    eyes.render(view.X_WC, view.X_WM, 0)
-    benchmark(eyes.render, view.X_WC, view.X_WM, 1)
-
-
-@pytest.mark.bench
-@pytest.mark.usefixtures("one_thread")
 def test_rendering_beside_warping(record_property) -> None:  # type: ignore[no-untyped-def]
     clean = CLEAN | {"camera": CLEAN["camera"] | {"lens": PINHOLE}}
     ours = camera(clean)

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from plant_emulator.core.camera import stereo_camera
-from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, motion_between
+from plant_emulator.core.camera.exposures import CameraMotion, CameraView, motion_between
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -31,11 +31,6 @@ def clean(**sections: dict[str, Any]) -> StereoCamera:
     )
 
 
-def sideways(speed_m_s: float, turn_rad_s: float = 0.0) -> CameraMotion:
-    """The camera moving along the wall and turning about its y axis, the marker with it."""
-    return CameraMotion(np.array([[0.0, -speed_m_s, 0.0, 0.0, turn_rad_s, 0.0]] * 2))
-
-
 def test_motion_carries_one_view_into_the_next() -> None:
     before = start_view(clean_camera().scene)
     turn = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
@@ -52,25 +47,6 @@ def test_a_still_camera_shows_neither_blur_nor_skew() -> None:
     view = start_view(clean_camera().scene)
     effects = clean(camera={"motion_blur_samples": 3, "shutter": {"kind": "rolling"}})
     assert np.array_equal(effects.render_eye(LEFT, view, 1), clean_camera().render_eye(LEFT, view, 1))
-
-
-def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
-    eyes = clean(camera={"shutter": {"kind": "rolling", "mode_hz": 15}})
-    readout_s = 719 * 51.2e-6
-    view, motion = start_view(eyes.scene), sideways(0.3, 0.05)
-    picture = eyes.render_eye(LEFT, view, 1, motion)
-    checked = 0
-    for marker, (static, _) in eyes.project_corners(*view).items():
-        corners = static
-        for _ in range(5):  # each corner is exposed when its own row is read
-            offsets = readout_s * (corners[:, 1] / 719.0 - 0.5)
-            moments = [eyes.project_corners(*motion.at(view, offset))[marker][LEFT] for offset in offsets]
-            corners = np.array([moment[k] for k, moment in enumerate(moments)])
-        found = refined_corners(picture, corners, 4, 6.0)
-        assert found is not None
-        assert np.abs(found - corners).max() < 0.03
-        checked += np.abs(corners - static).max() > 0.5  # the skew itself is not small
-    assert checked >= 1
 
 
 def test_motion_blur_smears_along_the_motion_by_the_way_gone() -> None:
@@ -150,25 +126,6 @@ def spread(profile: np.ndarray) -> float:
     return float(np.sqrt(12.0 * (slope * (places - mean) ** 2).sum() / slope.sum()))
 
 
-@pytest.mark.parametrize("centre", [(-0.45, 0.1), (0.31, -0.22)])
-def test_a_drill_hole_is_where_it_was_drilled(centre: tuple[float, float]) -> None:
-    hole = {"centre_m": list(centre), "diameter_mm": 50.0, "grey": 0, "rim_grey": 200}
-    eyes = clean(wall={"drill_holes": [hole], "contrast_grey": 0.0, "mean_grey": 120.0})
-    view = wall_view(eyes.scene, 1.0)
-    picture = eyes.render_eye(LEFT, view, 1).astype(float)
-    X_WO = eyes.scene.mounts.X_WO
-    (where,), _ = eyes.project(view.X_WC, np.array([[*centre, 0.0]]) @ X_WO[:3, :3].T + X_WO[:3, 3])
-    column, row = np.rint(where).astype(int)
-    around = picture[row - 30 : row + 31, column - 30 : column + 31]
-    dark = np.clip(1.0 - around / 120.0, 0.0, 1.0)
-    v, u = np.mgrid[row - 30 : row + 31, column - 30 : column + 31]
-    assert (dark * u).sum() / dark.sum() == pytest.approx(where[0], abs=0.1)
-    assert (dark * v).sum() / dark.sum() == pytest.approx(where[1], abs=0.1)
-    area = np.pi / 4.0 * (0.05 * eyes.config.lens.fx_px) ** 2
-    assert dark.sum() == pytest.approx(area, rel=0.05)
-    assert around.max() > 180.0
-
-
 def relief_height(x: Matrix, y: Matrix, amplitude: float, length: float) -> Matrix:
     """The undulation as documented: half of each of two parabola waves, counted from the texture's corner."""
 
@@ -241,12 +198,6 @@ def test_low_contrast_is_as_low_as_configured() -> None:
     view = wall_view(clean_camera().scene, 0.5)
     patches = [clean(wall={"contrast_grey": c}).render_eye(LEFT, view, 1)[600:, 100:500] for c in (20.0, 4.0)]
     assert patches[1].std() == pytest.approx(patches[0].std() / 5.0, rel=0.05)
-
-
-def test_still_is_still() -> None:
-    view = start_view(clean_camera().scene)
-    for X, Y in zip(STILL.at(view, 1.0), view, strict=True):
-        assert np.array_equal(X, Y)
 
 
 def test_light_becomes_grey_as_dirt_vignetting_gain_and_curve_say() -> None:

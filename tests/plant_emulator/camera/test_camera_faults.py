@@ -124,16 +124,6 @@ def test_a_blind_camera_sees_one_level_and_its_own_noise(grey: int) -> None:
     assert np.abs(left.astype(int) - grey).max() < 15
 
 
-@pytest.mark.parametrize("marker", [0, 3])
-def test_a_covered_marker_is_not_seen_and_the_others_are(marker: int) -> None:
-    plain, covered = shots([[], [MarkerCovered(marker_id=marker)]])
-    for free, hidden in zip(
-        shipped_camera().take(plain), shipped_camera().take(covered._replace(shown=plain.shown)), strict=True
-    ):
-        assert seen_ids(free) >= {0, 1, 3}
-        assert seen_ids(hidden) == seen_ids(free) - {marker}
-
-
 @pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
 def test_a_cover_lies_over_its_share_from_its_side_and_nowhere_else(side: Side) -> None:
     eyes = clean_camera()

@@ -15,7 +15,6 @@ from plant_emulator.core.mechanics.geometry import rotation_from_vector, transfo
 from protocol.errors import ConfigurationError
 from tests.plant_emulator.camera.camera_world import (
     CLEAN,
-    Matrix,
     camera,
     clean_camera,
     scene_config,
@@ -144,26 +143,6 @@ def test_glare_lies_where_a_mirror_shows_the_lamp() -> None:
     assert not glare_on(config, behind, eye_P).any()
 
 
-def test_glare_is_on_the_glossy_plate_alone_and_moves_with_the_view() -> None:
-    plain, places = clean_camera(), []
-    view = wall_view(plain.scene, 0.8)
-    lamp = {"strength_grey": 40.0, "width_m": 0.01, "lamp_m": [0.0, 0.35, 0.8]}
-    eyes = camera(CLEAN | {"lighting": {"glare": lamp}})
-    for moved in (0.0, 0.02):
-        shifted = view._replace(X_WC=view.X_WC @ transform(np.eye(3), np.array([moved, 0.0, 0.0])))
-        added = eyes.render_eye(LEFT, shifted, 1).astype(float) - plain.render_eye(LEFT, shifted, 1)
-        assert added.min() >= 0.0
-        assert added.max() == pytest.approx(40.0, abs=1.5)
-        v, u = np.mgrid[0:720, 0:1280]
-        middle = [(added * axis).sum() / added.sum() for axis in (u, v)]
-        eye_O = (np.linalg.inv(eyes.scene.mounts.X_WO) @ shifted.X_WC)[:2, 3]
-        mirror = 0.5 * (eye_O + np.array(lamp["lamp_m"][:2]))  # lamp and eye are equally far away
-        assert middle == pytest.approx(on_wall(eyes, shifted, *mirror), abs=0.7)
-        places.append(mirror[0])
-        assert (added[:, :300] == 0.0).all()  # the wall is matt
-    assert abs(places[1] - places[0]) == pytest.approx(0.01, abs=1e-3)
-
-
 def test_auto_exposure_converges_as_a_first_order_lag() -> None:
     config = scene_config({"camera": {"auto_exposure": {"enabled": True}}}).camera.auto_exposure
     servo = AutoExposure(config)
@@ -208,16 +187,6 @@ def test_dirt_stays_in_one_eye_at_one_place() -> None:
         expected = (1.0 - 0.5 * share) * clean[500, 340] + 20.0 * share
         assert dirty[500, 340] == pytest.approx(expected, abs=1.0)
         assert np.abs(dirty - clean)[:200].max() == 0.0
-
-
-def test_a_vignetted_dirty_picture_is_the_product_of_both() -> None:
-    spot = {"eye": "left", "centre_px": [200.0, 600.0], "radius_px": 60.0, "transmission": 0.6}
-    both = even(camera={"dirt": [spot], "vignetting": 0.3})
-    view: Any = wall_view(both.scene, 1.0)
-    alone = [even(camera=keys) for keys in ({"dirt": [spot]}, {"vignetting": 0.3}, {})]
-    dirt, dark, plain = (eyes.render_eye(LEFT, view, 1).astype(float) for eyes in alone)
-    product: Matrix = dirt * dark / np.maximum(plain, 1.0)
-    assert np.abs(both.render_eye(LEFT, view, 1) - product).max() <= 2.0
 
 
 @pytest.mark.parametrize(

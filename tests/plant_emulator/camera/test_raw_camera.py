@@ -5,7 +5,6 @@ it.
 import cv2
 import numpy as np
 
-from plant_emulator.core.camera import plates
 from plant_emulator.core.camera.rays import Lens
 from tests.plant_emulator.camera.camera_world import CLEAN, camera, clean_camera, start_view
 
@@ -53,16 +52,6 @@ def test_a_plate_is_painted_as_far_as_its_bent_sides_reach() -> None:
     assert corners - seen[inside, 1].min() > 10.0  # the side does bulge
     for u, v in seen[inside].round().astype(int):
         assert picture[v, u] > 150
-
-
-def test_an_outline_has_the_corners_and_points_between() -> None:
-    square = np.array([[0.0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]])
-    outline = plates._outlines(np.concatenate([square, square])[None])[0]
-    for corner in square:
-        assert (np.abs(outline - corner).max(axis=1) < 1e-12).sum() == 2
-    assert outline.shape == (64, 3)
-    on_rim = (np.abs(outline[:, 0] - 1.0) == 1.0) | (np.abs(outline[:, 1] - 0.5) == 0.5)
-    assert on_rim.all()
 
 
 def test_the_shipped_lens_does_not_bend() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.exposures import CameraMotion, CameraView, Capture, Drift, Exposures, Shot
+from plant_emulator.core.camera.exposures import CameraMotion, Capture, Drift, Exposures, Shot
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector
 from protocol.errors import ConfigurationError
@@ -235,12 +235,3 @@ def test_a_bent_plates_corners_stand_off_its_middle(direction_deg: float) -> Non
 def test_what_no_camera_can_be_is_refused(keys: dict[str, Any], told: str) -> None:
     with pytest.raises(ConfigurationError, match=told):
         load(SceneConfig, CONFIGS / "scene.yaml", {"camera": keys})
-
-
-def test_errors_as_large_as_users_report_are_allowed() -> None:
-    keys = {"rectification": {"disparity_px": -3.5, "vertical_px": 1.0}, "drift": {"disparity_px": 0.3}}
-    eyes = with_camera(**keys)
-    view = start_view(eyes.scene)
-    assert isinstance(view, CameraView)
-    wanted = eyes.project_corners(*view)[3][RIGHT]
-    assert np.abs(found_in(eyes.render_eye(RIGHT, view, 1), wanted) - wanted).max() < FOUND_PX

@@ -198,19 +198,6 @@ async def test_a_second_master_may_read_but_not_write(bench: Bench) -> None:
     await second.close()
 
 
-async def test_a_silent_master_loses_the_outputs(bench: Bench) -> None:
-    first, second = await connected(bench), await connected(bench)
-    await first.ask(bytes.fromhex("06 1120 0000"))  # no watchdog: nothing else would release the outputs
-    await first.ask(whole(VALVES))
-    bench.clock[0] = RELEASE_NS - 1
-    assert await second.ask(whole(VALVES)) == b"\x90\x06"
-    bench.clock[0] = RELEASE_NS
-    assert (await second.ask(whole(VALVES)))[0] == 16
-    assert await first.ask(whole(VALVES)) == b"\x90\x06"
-    await first.close()
-    await second.close()
-
-
 async def test_a_silent_coupler_swallows_whole_requests_and_keeps_its_place(bench: Bench) -> None:
     master = await connected(bench)
     write, read = whole(VALVES), bytes.fromhex("0300000001")
@@ -227,32 +214,4 @@ async def test_a_silent_coupler_swallows_whole_requests_and_keeps_its_place(benc
     assert (await master.reader.readexactly(11))[:2] == b"\x00\x09"
     await master.ask(write)
     assert close_valves(bench.written[0])
-    await master.close()
-
-
-async def test_partial_and_merged_frames_are_put_together(bench: Bench) -> None:
-    master = await connected(bench)
-    frame = struct.pack(">HHHB", 9, 0, 6, 1) + bytes.fromhex("03 0000 0028")
-    for byte in frame + frame[:5]:
-        master.writer.write(bytes([byte]))
-        await master.writer.drain()
-        await asyncio.sleep(0)
-    first = await master.reader.readexactly(9 + 80)
-    master.writer.write(frame[5:] + frame)
-    assert await master.reader.readexactly(9 + 80) == first
-    assert await master.reader.readexactly(9 + 80) == first
-    await master.close()
-
-
-@pytest.mark.parametrize(
-    "header", ["0001 0001 0006 01", "0001 0000 0001 01", "0001 0000 00FF 01", "0001 0000 FFFF 01"]
-)
-async def test_a_stream_that_lost_its_place_is_closed(bench: Bench, header: str) -> None:
-    master = await connected(bench)
-    master.writer.write(bytes.fromhex(header) + bytes.fromhex("03 0000 0028"))
-    assert await asyncio.wait_for(master.reader.read(), 2.0) == b""
-    assert bench.coupler.statistics.framing_errors == 1
-    other = await connected(bench)
-    assert (await other.ask(bytes.fromhex("03 0000 0028")))[0] == 3
-    await other.close()
     await master.close()

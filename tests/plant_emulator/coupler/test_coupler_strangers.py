@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from plant_emulator.core.coupler.modbus_requests import Turns
 from plant_emulator.core.layout import who_yields
 from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import Coupler
@@ -158,20 +157,6 @@ async def test_strangers_take_a_twentieth_of_the_time_however_slow_the_machine_i
     await bench.until(lambda: bench.coupler.statistics.requests == 64)
     slices = 64 // SLICE
     assert waits[1:slices] == [19 * SLICE * 300_000] * (slices - 1)
-
-
-def test_turns_are_rarer_the_longer_they_take_and_what_was_spent_beside_them_counts() -> None:
-    turns = Turns(1_000_000, 0.1)
-    turns.took(0, 50_000)
-    assert turns.next_ns == 1_000_000
-    turns.took(5_000_000, 5_700_000)
-    assert turns.next_ns == 12_000_000
-    turns.spent(100_000)
-    turns.spent(200_000)
-    turns.took(20_000_000, 20_100_000)
-    assert turns.next_ns == 24_000_000
-    turns.took(30_000_000, 30_100_000)
-    assert turns.next_ns == 31_000_000
 
 
 async def test_a_stranger_that_asks_once_is_not_kept_waiting_by_one_that_pipelines(bench: Bench) -> None:

@@ -202,15 +202,6 @@ def test_what_is_not_an_order_at_all_is_refused(whole: tuple[Client, Plant], bod
     assert not plant.faults.all()
 
 
-def test_a_nan_is_no_angle(face: Client) -> None:
-    body = b'{"fault": {"kind": "encoder_jump", "joint": "lift", "angle_mrad": NaN}}'
-    problem(
-        face.post("/faults", content=body, headers={"content-type": "application/json"}),
-        422,
-        "refused.fault_parameter",
-    )
-
-
 def test_the_same_fault_twice_is_a_conflict(face: Client) -> None:
     order = {"fault": {"kind": "valve_stuck", "joint": "lift"}}
     number = face.post("/faults", json=order).json()["number"]

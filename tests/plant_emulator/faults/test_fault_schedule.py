@@ -184,22 +184,6 @@ def test_the_schedule_refuses_what_cannot_be() -> None:
     assert refusal.value.cause == "refused.too_many_faults"
 
 
-def test_the_schedule_keeps_a_trace_of_every_change() -> None:
-    schedule = FaultSchedule()
-    first = schedule.inject(SupplyLost(), 0)
-    assert schedule.settle(0)
-    later = schedule.inject(PayloadDrop(), 0, 50)
-    assert schedule.next_ns() == 50
-    assert not schedule.settle(49)
-    schedule.clear(later.number, 49)
-    schedule.clear_all(60)
-    assert [(c.phase, c.time_ns, c.injection.number) for c in schedule.changes] == [
-        ("began", 0, first.number), ("planned", 0, later.number),
-        ("withdrawn", 49, later.number), ("ended", 60, first.number),
-    ]  # fmt: skip
-    assert schedule.in_force() == []
-
-
 def test_a_fault_due_to_end_before_anybody_looked_still_leaves_its_trace() -> None:
     schedule = FaultSchedule()
     schedule.inject(SupplyLost(), 0, 10, 5)

@@ -110,12 +110,6 @@ def test_a_set_that_came_out_of_a_configuration_goes_in_again() -> None:
             {"valves": {"joints": {"tilt": {"deadband": {"return_a": 0.4}, "hysteresis": 0.3}}}},
             ["valves.joints", "tilt", "0.4", "0.3", "0.5", "little would be left"],
         ),
-        ({"valves": {"hysteresis": 1.2}}, ["valves.hysteresis", "1.2", "0.5"]),
-        (
-            {"valves": {"slew_limit_per_s": {"out": 0.0, "back": 1.0}}},
-            ["slew_limit_per_s.out", "greater than 0"],
-        ),
-        ({"valves": {"initial_slope": 2.5}}, ["initial_slope.extend", "2.5", "2"]),
         (
             {"valves": {"delay_ms": 100.0}},
             ["valves", "delay_ms = 100", "slew", "watchdog_ms = 100", "old commands"],

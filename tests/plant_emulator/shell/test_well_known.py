@@ -125,20 +125,6 @@ def test_the_session_says_what_wrote_it(recorded: Path) -> None:
     assert {"version longreach", "version numpy", "version python"} <= set(SESSION)
 
 
-def test_simulated_time_gives_the_same_bytes_again(recorded: Path, tmp_path: Path) -> None:
-    plant = Plant(plant_config(), 1, Scene(SCENE_CONFIG).mounts)
-    driver, drawn = Driver(plant), drawing(SCENE_CONFIG, plant.chain, 0)
-    recorder = TruthRecorder(tmp_path / "again.mcap", {}, drawn, SESSION, DirectRecording)
-    for _ in range(5):
-        driver.run(0.02, (0.4, 0.2, 0.0, 0.0, 0.0, 0.0))
-        recorder.truth(plant.truth(), plant.time_ns, plant.links())
-    plant.inject(SupplyLost())
-    for change in plant.faults.changes:
-        recorder.fault(change, plant.time_ns)
-    recorder.close()
-    assert (tmp_path / "again.mcap").read_bytes() == recorded.read_bytes()
-
-
 def test_recording_does_not_change_the_plant() -> None:
     seen, unseen = (Plant(plant_config(), 1) for _ in range(2))
     for plant in (seen, unseen):

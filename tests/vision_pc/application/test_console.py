@@ -82,12 +82,6 @@ def test_all_that_is_measured_in_vain_says_what_to_do() -> None:
     ] == []
 
 
-def test_a_cause_without_a_sentence_has_that_of_its_area() -> None:
-    assert advice("link.anything_new") == advice("link.something_else")
-    assert advice("link.anything_new") != advice("measurement.anything_new")
-    assert advice("strange") == "See the event log of the vision PC."
-
-
 @pytest.mark.realtime
 async def test_what_is_wrong_is_found_in_a_glimpse() -> None:
     async with bench() as made:

@@ -14,7 +14,7 @@ import pytest
 
 from foundation.configuration import load
 from foundation.event_log import EventLog
-from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, GroupState
 from protocol.reference_messages import ANY_ARM
 from tests.vision_pc.conftest import VISION_YAML
@@ -196,14 +196,6 @@ async def test_looks_are_refused_while_the_arm_moves(bench: Bench) -> None:
     assert refused.value.cause == "refused.moving"
 
 
-async def test_what_is_not_there_is_not_seen(bench: Bench, pictures: Pictures) -> None:
-    bench.camera.play(pictures.alone)
-    await asyncio.sleep(2 * PERIOD_S)
-    with pytest.raises(MeasurementFailed) as failed:
-        await bench.eyes.look(3)
-    assert failed.value.cause == "measurement.object_not_seen"
-
-
 async def test_a_click_is_refused_where_what_was_clicked_has_moved_since(
     bench: Bench, pictures: Pictures
 ) -> None:
@@ -267,13 +259,6 @@ async def test_a_silent_camera_is_told_and_no_old_picture_is_used(bench: Bench) 
     bench.camera.silent = False
     await until(lambda: bench.eyes.status().connected)
     await bench.eyes.look(2)
-
-
-async def test_a_frozen_camera_is_told(bench: Bench, pictures: Pictures) -> None:
-    bench.camera.play(pictures.both[:1])
-    with pytest.raises(LinkLost) as lost:
-        await bench.eyes.look(60)
-    assert lost.value.cause == "link.camera_frozen"
 
 
 async def test_a_watch_begins_before_its_body_and_ends_after_it(bench: Bench) -> None:

@@ -6,16 +6,15 @@ from typing import Any
 import pytest
 from pydantic import Field, ValidationError
 
-from foundation.configuration import StrictModel, validated
+from foundation.configuration import StrictModel
 from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from tests.vision_pc.program_settings import BOOM, shipped
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import Copy, RequestBody, body_of
+from vision_pc.application.bodies import Copy, body_of
 from vision_pc.application.ports import CameraStatus
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.config.programs import OrientationSettings
 
 BY_NAME = {program.name: program for program in PROGRAMS}
 
@@ -144,22 +143,10 @@ def test_what_was_calibrated_decides_what_may_begin(
         assert refused.value.cause == "refused.not_calibrated"
 
 
-def test_a_wrong_word_in_a_file_keeps_its_cause() -> None:
-    given = shipped().orientation.model_dump(mode="json") | {"form": "upside_down"}
-    with pytest.raises(ConfigurationError, match="'frame_true' or 'paper'") as refused:
-        validated(OrientationSettings, given, "vision.yaml")
-    assert refused.value.cause == "configuration.literal_error"
-
-
 def test_a_name_is_taken_once() -> None:
     with pytest.raises(ConfigurationError, match="named move") as refused:
         by_name([*PROGRAMS, BY_NAME["move"]])
     assert refused.value.cause == "configuration.program_twice"
-
-
-def test_names_differ_and_every_program_says_what_it_does() -> None:
-    assert len(BY_NAME) == len(PROGRAMS)
-    assert all(program.title and issubclass(program.body, RequestBody) for program in PROGRAMS)
 
 
 def _asked(program: Program[Any, Any]) -> Any:

@@ -12,7 +12,7 @@ from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.core.se3 import Array, to_pose, transform
-from vision_pc.core.targets.keeper import MARKERS, TargetKeeper
+from vision_pc.core.targets.keeper import TargetKeeper
 from vision_pc.core.targets.target import TargetObservation
 from vision_pc.core.types import Look
 
@@ -76,15 +76,3 @@ def test_a_watch_that_fails_or_lost_its_way_loses_the_target(fails: bool) -> Non
     with pytest.raises(RequestRefused) as refused, bench.carrier.looking():
         pytest.fail("looked at a target that nobody knows")
     assert refused.value.cause == "refused.target_lost"
-
-
-def test_a_motion_that_nobody_watched_is_noticed_at_the_next_look() -> None:
-    bench = Bench()
-    bench.drive(0.01)
-    with pytest.raises(RequestRefused) as refused, bench.carrier.looking():
-        pytest.fail("looked at a target that nobody knows")
-    assert refused.value.cause == "refused.target_lost"
-    bench.targets.aim(MARKERS)
-    assert bench.carrier.object_wanted
-    with bench.carrier.looking():
-        assert not bench.sensor.resting  # markers need none of this

@@ -8,8 +8,7 @@ import pytest
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
 from vision_pc.config.programs import AtRestSettings, LocalErrorModelSettings
-from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest, begun_at, halves_apart_m, tracked
-from vision_pc.core.calibration.local_calibration import settled_pose
+from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest, begun_at, tracked
 from vision_pc.core.calibration.local_error_model import (
     record_local_track,
     three_legs,
@@ -86,14 +85,6 @@ async def test_a_camera_that_does_not_rest_is_given_up_and_by_how_much_is_told()
     assert (await at_rest(silent_watch, SIXTEEN)).pictures == slice(0, 1)  # type: ignore[arg-type]
 
 
-def test_halves_that_turn_are_apart_too() -> None:
-    turned = np.array([[np.cos(a), -np.sin(a)] for a in (0.0, 1e-3)])
-    X = np.tile(np.eye(4), (4, 1, 1))
-    X[2:, 0, :2], X[2:, 1, :2] = turned[1], [-turned[1, 1], turned[1, 0]]
-    assert halves_apart_m(X) == pytest.approx(1e-3, rel=1e-2)
-    assert halves_apart_m(X[:1]) == halves_apart_m(X[:0]) == 0.0
-
-
 async def test_a_track_begins_with_the_mean_of_what_rested() -> None:
     watch = RockingWatch(1e9)
     found = await at_rest(watch, SIXTEEN)  # type: ignore[arg-type]
@@ -128,16 +119,6 @@ async def test_what_a_boom_sinks_before_its_drive_is_a_part_of_the_way(sinks_m_s
     X = tracked(watch.samples)
     assert begun_at(X, found, SIXTEEN.agree_m)[0, 3] == pytest.approx(0.0, abs=0.3 * ROCKS_M)
     assert X[found.pictures, 0, 3].mean() == pytest.approx(4.0 * sinks_m_s, rel=0.1)
-
-
-async def test_a_camera_that_only_rocked_begins_with_those_at_rest() -> None:
-    watch = RockingWatch(0.3)
-    found = AtRest(slice(24, 40), 0.0)
-    while len(watch.samples) < 40:
-        await watch.after(len(watch.samples), 1.0)
-    X = tracked(watch.samples)
-    assert (begun_at(X, found, SIXTEEN.agree_m) == settled_pose(X[found.pictures])).all()
-    assert begun_at(X, AtRest(slice(0, 1), 0.0), SIXTEEN.agree_m)[0, 3] == ROCKS_M
 
 
 async def test_a_drive_is_watched_from_rest_to_rest() -> None:

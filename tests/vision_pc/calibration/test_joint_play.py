@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.calibration.joint_motion import JointSeen, evenly
+from vision_pc.core.calibration.joint_motion import JointSeen
 from vision_pc.core.calibration.joint_play import joint_play, mean_delay
 from vision_pc.core.se3 import Array, exp_so3, transform
 
@@ -89,11 +89,6 @@ def test_stamps_that_scatter_do_not_widen_the_play(seed: int) -> None:
     assert found.delay == pytest.approx(0.008, abs=0.0012)
 
 
-def test_a_camera_that_does_not_expose_evenly_is_taken_at_its_word() -> None:
-    stamps = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.15, 60))
-    assert np.array_equal(evenly(stamps), stamps)
-
-
 def on_a_boom(seen: JointSeen, hertz: float, damping: float) -> JointSeen:
     """``seen`` from the tip of a boom that swings at ``hertz`` when its root turns, by small Euler steps."""
     omega, fine = 2.0 * np.pi * hertz, 20
@@ -118,27 +113,6 @@ def test_a_boom_that_its_joint_sets_swinging_is_not_taken_for_play(seed: int) ->
     assert found.half == pytest.approx(2e-4, rel=0.05)
     assert abs(found.half - 2e-4) < 3.5 * found.half_std
     assert found.half_std < 1e-5  # 1.4e-5 to 2.7e-5 by a swing of each triangle's own, and up to 13 % off
-
-
-def lagging(seen: JointSeen, square_s2: float) -> JointSeen:
-    """``seen`` from a boom too stiff to be seen swinging: it lags by ``square_s2`` times the acceleration."""
-    average = np.ones(9) / 9.0
-    speed = np.gradient(np.convolve(seen.q[:, 0], average, "same"), seen.t)
-    bent = -square_s2 * np.convolve(np.gradient(speed, seen.t), average, "same")
-    turned = seen.X_C0C.copy()
-    for X, angle in zip(turned, np.interp(seen.seen_t, seen.t, bent), strict=True):
-        R = exp_so3(np.array([0.0, 0.0, angle]))
-        X[:3, 3] = R @ (X[:3, 3] + [_LEVER_M, 0.0, 0.0]) - [_LEVER_M, 0.0, 0.0]
-        X[:3, :3] = R @ X[:3, :3]
-    return seen._replace(X_C0C=turned)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_boom_too_stiff_to_be_seen_swinging_is_not_taken_for_play(seed: int) -> None:
-    seen = seen_of(encoder_side=2e-4, seed=seed)
-    rigid, stiff = joint_play(seen), joint_play(lagging(seen, 5e-4))
-    assert stiff.half == pytest.approx(rigid.half, abs=4e-7)  # 0.8e-6 and 1.4e-6 without its lag
-    assert stiff.half_std < 1.05 * rigid.half_std  # by up to 1.6 without
 
 
 def test_loose_steel_behind_the_encoder_has_the_other_sign() -> None:

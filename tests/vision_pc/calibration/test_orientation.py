@@ -6,8 +6,7 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
-from vision_pc.config.programs import OrientationForm
-from vision_pc.core.calibration.orientation import adjust_orientation, orientation_error, reference_rotation
+from vision_pc.core.calibration.orientation import adjust_orientation, orientation_error
 from vision_pc.core.se3 import exp_so3, transform
 
 SETTINGS = shipped().orientation
@@ -49,14 +48,6 @@ async def test_repetition_looks_again_and_leaves_no_more() -> None:
     assert len(result.errors) == 4
     assert len(result.references) == 3
     assert arm.true_orientation_error() < np.radians(0.25)
-
-
-async def test_forms_agree_when_camera_and_tool_are_parallel() -> None:
-    arm = rig(1, X_TC=transform(np.eye(3), [0.0] * 3), X_TM=transform(np.diag([1.0, -1, -1]), [0] * 3),
-              marker_std=0.0)  # fmt: skip
-    look = await arm.look()
-    forms = [reference_rotation(look, form) for form in OrientationForm]
-    assert np.allclose(*forms, atol=1e-9)
 
 
 async def test_a_turn_beyond_the_limit_is_refused_and_nothing_moves() -> None:

@@ -12,7 +12,6 @@ import pytest
 from foundation.configuration import load, parse_overrides
 from protocol.errors import ConfigurationError
 from tests.vision_pc.conftest import VISION_YAML
-from vision_pc.config.camera_files.parts import rotation, rotation_vector
 from vision_pc.config.camera_files.reading import read_calibration, read_calibrations, write_calibration
 from vision_pc.config.choices import LensModel
 from vision_pc.config.stereo_camera import StereoCalibration
@@ -262,13 +261,6 @@ def test_binary_absent_and_mirrored_files(tmp_path: Path) -> None:
     mirrored = camchain().replace(f"{float(R[0, 0])}", f"{-float(R[0, 0])}")
     with pytest.raises(ConfigurationError, match="a rotation is wanted"):
         read_calibration(write(tmp_path / "mirrored.yaml", mirrored))
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.5, 2.0])
-def test_rotation_vectors_agree_with_opencv(angle: float) -> None:
-    vector = angle * np.array([0.6, -0.48, 0.64])
-    np.testing.assert_allclose(rotation(vector), cv2.Rodrigues(vector)[0], atol=1e-12)
-    np.testing.assert_allclose(rotation_vector(Path("x"), "R", rotation(vector)), vector, atol=1e-12)
 
 
 def test_the_configuration_takes_a_file_in_place_of_numbers(tmp_path: Path) -> None:

@@ -7,8 +7,6 @@ import pytest
 
 from protocol.errors import RequestRefused
 from tests.vision_pc.hand_eye.data import random_scene
-from vision_pc.config.choices import Setup
-from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.se3 import Array
 
@@ -91,10 +89,3 @@ def test_order_is_canonical_and_remembered() -> None:
     assert np.array_equal(one.H, other.H)
     assert np.array_equal(one.P, other.P)
     assert [NAMES[k] for k in one.order] == list(one.names)
-
-
-def test_eye_to_hand_inverts_the_robot() -> None:
-    scene = random_scene(np.random.default_rng(5), 8)
-    pairs = pose_pairs(scene.X_BT, scene.P(), Setup.EYE_TO_HAND)
-    np.testing.assert_allclose(pairs.H @ pairs.X_BT, np.broadcast_to(np.eye(4), (8, 4, 4)), atol=1e-14)
-    np.testing.assert_allclose(stacks.inverse(pairs.H)[0], scene.X_BT[pairs.order[0]], atol=1e-14)

@@ -1,7 +1,5 @@
 """The camera matrix's share in X's covariance: against finite differences, and against truth."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -114,8 +112,3 @@ def test_a_covariance_that_is_none_is_refused(covariance: Array) -> None:
     with pytest.raises(RequestRefused, match="camera_covariance") as caught:
         lens.checked(np.eye(3), np.zeros(5), covariance)
     assert caught.value.cause == "refused.hand_eye.camera_covariance"
-
-
-def test_subsets_keep_the_lens() -> None:
-    pairs = replace(noisy_pairs(74, 6)[0], lens=alone(1.0, 1.0, 1.0, 1.0))
-    assert pairs.subset(np.arange(6) < 4).lens is pairs.lens

@@ -162,15 +162,6 @@ def test_wild_views_do_not_bend_it(camera: CameraCalibration, generator: np.rand
     assert max(off) < 2e-3
 
 
-def test_nothing_changes_where_no_step_helps(
-    camera: CameraCalibration, generator: np.random.Generator
-) -> None:
-    exact, points = problem(camera, generator, 0.0)
-    found = bundle_adjustment.adjusted(exact, (camera.left, camera.right), 0.1, 50.0)
-    np.testing.assert_allclose(found.X_CC0, exact.X_CC0, atol=1e-9)
-    np.testing.assert_allclose(found.points, points, atol=1e-9)
-
-
 @pytest.fixture(scope="module")
 def long_way() -> list[Array]:
     return [se3.transform(np.eye(3), (0.35 * k, 0.0, 0.0)) for k in range(9)]

@@ -10,7 +10,7 @@ import pytest
 from tests.vision_pc.rendering import Marker, facing, finish, render, wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry import StereoOdometry, moving_regions, patches, tracking
+from vision_pc.core.odometry import StereoOdometry, moving_regions, patches
 from vision_pc.core.odometry.keyframes.triangulation import triangulated
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -260,16 +260,6 @@ def test_wall_without_texture_or_light_is_refused(
         assert odometry.process(StereoPair(left, right, 0, 0)) is None
         assert odometry.last_loss == cause
     assert odometry.keyframes == 0
-
-
-@pytest.mark.parametrize(
-    ("contrast", "noise", "noisy"), [(1.0, 2.0, False), (1.0, 0.0, False), (0.2, 5.0, True), (0.0, 2.0, True)]
-)
-def test_noise_is_told_from_texture(
-    camera: CameraCalibration, texture: Array, contrast: float, noise: float, noisy: bool
-) -> None:
-    pale = 118.0 + contrast * (texture - 118.0)
-    assert tracking.is_noisy(pair_at(camera, pale, np.eye(4), noise=noise).left) == noisy
 
 
 def test_triangulation_inverts_projection_for_any_pair_of_eyes(camera: CameraCalibration) -> None:

@@ -1,7 +1,6 @@
 """How a pose gives way to an offset of all disparities: as a solution with such an offset does."""
 
 import numpy as np
-import pytest
 
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Indices
@@ -94,18 +93,3 @@ def test_what_pictures_teach_of_depths_goes_too(camera: CameraCalibration) -> No
         ways[pictures] = OFFSET_PX * drift(known, ids, BEYOND).pose
         np.testing.assert_allclose(ways[pictures], se3.local(BEYOND, found), rtol=0.05, atol=3e-6)
     assert np.linalg.norm(ways[6][3:]) < 0.5 * np.linalg.norm(ways[0][3:])
-
-
-def test_where_the_map_began_nothing_goes(camera: CameraCalibration) -> None:
-    known = KeyframeMap(camera, 0.2, drifts=True)
-    ids = known.add_points(se3.identity(), aslant(np.random.default_rng(6)), 0.1)
-    np.testing.assert_allclose(drift(known, ids, se3.identity()).pose, 0.0, atol=1e-9)
-
-
-def test_a_wall_square_to_the_line_of_sight_only_scales_the_way(camera: CameraCalibration) -> None:
-    x, y = np.random.default_rng(7).uniform(-0.7, 0.7, (2, 200))
-    known = KeyframeMap(camera, 0.2, drifts=True)
-    ids = known.add_points(se3.identity(), np.column_stack([x, y, np.full(200, 1.5)]), 0.1)
-    by_offset = drift(known, ids, se3.transform(np.eye(3), (0.4, 0.0, 0.0))).pose
-    assert by_offset[0] == pytest.approx(0.4 * 1.5 / disparity_metres(camera), rel=1e-6)
-    np.testing.assert_allclose(by_offset[1:], 0.0, atol=1e-9)

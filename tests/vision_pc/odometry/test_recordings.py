@@ -10,7 +10,6 @@ from tests.vision_pc.rendering import cropped, wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.offset_drift import view_rates
-from vision_pc.core.odometry.motion_prior import MotionHistory
 from vision_pc.core.odometry.rolling import (
     PictureMotion,
     PlacedPicture,
@@ -133,34 +132,6 @@ def test_what_was_taken_out_of_the_keyframe_makes_no_other_share(
     assert readout.share == pytest.approx(SHARE, abs=0.005)
 
 
-@pytest.mark.parametrize(("share", "believed"), [(0.023, 0.0), (0.08, 0.08)])
-def test_what_little_looks_like_a_readout_is_none(
-    camera: CameraCalibration, points: Array, share: float, believed: float
-) -> None:
-    """A drone's rendered pairs of a global shutter told 0.023, and surely so (seed 8101): its rays were
-    straightened, and its way was off by twice as much.
-    """
-    readout = Readout(camera, learns=True)
-    for _ in range(9):
-        readout.foresee(1, se3.identity(), MOTION)
-        readout.moved(MOTION)
-        views = shown(camera, readout, points, MOTION, share)
-        readout.learn((camera.left, camera.right), views, AT_REST, 0.01)
-    assert readout.share == pytest.approx(believed, abs=0.01)
-
-
-def test_rays_are_straightened_and_bent_back(camera: CameraCalibration, points: Array) -> None:
-    rays = points[:, :2] / points[:, 2:]
-    unknown = Readout(camera, learns=True)
-    assert unknown.straight(camera.left, rays, points) is rays  # no shutter known: to the last bit
-    readout = rolling(camera, SHARE, ALIKE)
-    bent = readout.bent(camera.left, rays, points)
-    off_px = camera.left.K[0, 0] * np.abs(bent - rays).max()
-    assert off_px > 0.5
-    back = readout.straight(camera.left, bent, points)
-    assert camera.left.K[0, 0] * np.abs(back - rays).max() < 0.01 * off_px
-
-
 def test_a_motion_that_an_earlier_pass_found_is_believed(camera: CameraCalibration) -> None:
     """Of the first picture too, before which there was none, and of those after a loss."""
     readout = Readout(camera, learns=True)
@@ -259,8 +230,3 @@ def test_a_map_of_two_motions_is_withdrawn(camera: CameraCalibration, config: Vi
     assert result.lost == 4
     assert set(result.losses) == {"two_motions"}
     assert result.apart == []
-
-
-def test_nothing_is_undecided_where_nothing_is_foreseen() -> None:
-    assert not MotionHistory(0.0).undecided
-    assert MotionHistory(3.0).undecided

@@ -6,20 +6,15 @@ import time
 from collections.abc import Callable, Iterator
 
 import cv2
-import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from laboratory.experiments.hand_eye import real_sets
 from protocol.errors import RequestRefused
-from tests.vision_pc.perception.test_markers import Corners, measured_corners, object_markers, tool_marker
 from tests.vision_pc.perception.test_watch import World
-from tests.vision_pc.rendering import facing, render
 from vision_pc.config.vision import VisionConfig
-from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics, look, marker_edges, markers
-from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoPair
 
 pytestmark = [pytest.mark.bench, pytest.mark.benchmark(timer=time.process_time), pytest.mark.timeout(600)]
@@ -34,84 +29,6 @@ def one_core() -> Iterator[None]:
 
 
 FULL, TRACKED, ODOMETRY = 1.0, 0.5, 0.5  # times OpenCV's own
-
-_POSES = 300  # of one marker: enough for a share of flips of 1 %
-
-
-def rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-@pytest.mark.parametrize(("size", "z"), [(0.10, 0.5), (0.15, 1.0), (0.12, 1.1), (0.10, 2.0)])
-def test_corner_accuracy(
-    camera: CameraCalibration, generator: np.random.Generator, size: float, z: float
-) -> None:
-    corners: Corners = measured_corners(camera.left, size, z, 60, generator)
-    ours, peer = rms(corners.edges), rms(corners.opencv)
-    print(
-        f"\ncorners {1e3 * size:.0f} mm at {z:g} m: edge lines {ours:.4f} px rms,"
-        f" bias {corners.outward.mean():+.4f} px; cv2 SUBPIX {peer:.4f} px rms"
-    )
-    assert ours < 0.06
-    assert abs(corners.outward.mean()) < 0.02
-    assert ours < peer
-
-
-@pytest.mark.parametrize(("size", "z", "limit_mm"), [(0.15, 1.0, (0.2, 0.6)), (0.10, 2.0, (1.2, 4.0))])
-def test_pose_accuracy_of_one_marker(
-    camera: CameraCalibration,
-    config: VisionConfig,
-    generator: np.random.Generator,
-    size: float,
-    z: float,
-    limit_mm: tuple[float, float],
-) -> None:
-    settings = config.markers.model_copy(
-        update={"tool": config.markers.tool.model_copy(update={"size_m": size})}
-    )
-    errors, flips, missed = [], 0, 0
-    for _ in range(_POSES):
-        x, y = generator.uniform(-0.3, 0.3, 2) * z
-        X_CM = facing(x, y, z, tuple(generator.uniform(-35, 35, 3)))
-        marker = tool_marker(X_CM)._replace(size=size)
-        seen = look.observe(render(camera, (marker,), generator), camera, settings)
-        if seen.X_CM is None:
-            missed += 1
-            continue
-        errors.append(se3.local(X_CM, seen.X_CM))
-        flips += int(np.degrees(np.linalg.norm(errors[-1][3:])) > 5.0)
-    lateral, depth = 1e3 * rms(np.array(errors)[:, :2]), 1e3 * rms(np.array(errors)[:, 2])
-    print(
-        f"\none marker {1e3 * size:.0f} mm at {z:g} m, both eyes: {lateral:.3f} / {depth:.3f} mm rms,"
-        f" rotation {np.degrees(rms(np.array(errors)[:, 3:])):.3f}°, {flips} flips, {missed} missed of"
-        f" {_POSES}; limits {limit_mm[0]:g} / {limit_mm[1]:g} mm, 1 % flips"
-    )
-    assert lateral < limit_mm[0]
-    assert depth < limit_mm[1]
-    assert flips <= 0.01 * _POSES
-    assert missed <= 0.03 * _POSES
-
-
-def test_pose_accuracy_of_the_object(
-    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
-) -> None:
-    errors = []
-    for _ in range(40):
-        X_CO = facing(*(generator.uniform(-0.3, 0.3, 2) * 2.0), 2.0, tuple(generator.uniform(-25, 25, 3)))
-        seen = look.observe(render(camera, object_markers(X_CO), generator), camera, config.markers)
-        if seen.X_CO is not None and len(seen.markers) == 3:
-            errors.append(se3.local(X_CO, seen.X_CO))
-    found = np.array(errors)
-    lateral, depth = 1e3 * rms(found[:, :2]), 1e3 * rms(found[:, 2])
-    p95 = float(np.percentile(np.degrees(np.linalg.norm(found[:, 3:], axis=1)), 95))
-    print(
-        f"\nobject, twelve corners at 2 m: {lateral:.3f} / {depth:.3f} mm rms across / along,"
-        f" rotation p95 {p95:.3f}°, {len(found)} of 40"
-    )
-    assert lateral < 0.3
-    assert depth < 1.0
-    assert p95 < 0.5
-    assert len(found) >= 36
 
 
 @pytest.mark.parametrize(

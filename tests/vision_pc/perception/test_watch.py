@@ -112,18 +112,6 @@ def test_told_the_true_lens_the_eyes_see_the_truth(
     assert abs(seen.offset.y_px - rectification.vertical_px) < 0.05
 
 
-def test_with_nominal_lens_the_error_is_what_the_lens_makes_it(
-    camera: CameraCalibration, config: VisionConfig, path: list[Shot]
-) -> None:
-    seen = None
-    for shot in path[:3]:
-        seen = look.observe(shot.pair, camera, config.markers, seen)
-        assert np.abs(goal_error(shot, seen)).max() < 2.5e-3
-        assert seen.cov_CO is not None
-        assert seen.X_CO is not None
-        assert abs(seen.X_CO[2, 3] - shot.X_CO[2, 3]) < 3.0 * np.sqrt(seen.cov_CO[2, 2])
-
-
 def test_watch_follows_the_camera_and_leaves_the_tool_out(
     camera: CameraCalibration, config: VisionConfig, path: list[Shot]
 ) -> None:
@@ -150,21 +138,6 @@ def test_watch_follows_the_camera_and_leaves_the_tool_out(
     assert health.offset is not None
     assert abs(health.offset.x_px + 0.3) < 0.1
     watcher.require()
-
-
-def test_watch_for_markers_alone_needs_no_odometry(
-    camera: CameraCalibration, config: VisionConfig, path: list[Shot]
-) -> None:
-    watcher = Watcher(PixelSensor(config), markers=True, odometry=False)
-    for shot in path[:3]:
-        sample = watcher.add(shot.pair, shot.X_BT)
-        assert sample.X_C0C is None
-        assert sample.X_CM is not None
-        assert sample.X_CO is not None
-    watcher.require()
-    assert watcher.health.odometry_lost == 0
-    assert watcher.observation is not None
-    assert watcher.observation.frame_id == path[2].pair.frame_id
 
 
 def test_watch_that_missed_everything_fails_with_the_cause(
@@ -203,18 +176,3 @@ def test_watch_survives_a_dark_frame(
     assert (health.odometry_lost, health.tool_missed, health.object_missed) == (1, 1, 1)
     assert health.last_loss == "too_dark"
     watcher.require()
-
-
-def test_look_at_the_emulated_camera(world: World, camera: CameraCalibration, config: VisionConfig) -> None:
-    shots = [world.shot((0.0, 0.0, 0.0), frame_id) for frame_id in range(1, 6)]
-    observations: list[FrameObservation] = []
-    for shot in shots:
-        observations.append(
-            look.observe(shot.pair, camera, config.markers, observations[-1] if observations else None)
-        )
-    taken = look.combine(observations, shots[0].X_BT, 250, config.look)
-    assert (taken.frames, taken.failed_tool, taken.failed_object) == (5, 0, 0)
-    assert (taken.std_object_frame_m[:2] < 0.2e-3).all()
-    assert 0.3e-3 < taken.std_object_m[2] < 3e-3  # print and focal length: not averaged away
-    scatter = np.std([o.X_CO[:3, 3] for o in observations if o.X_CO is not None], axis=0)
-    assert (scatter < 3.0 * taken.std_object_frame_m + 0.1e-3).all()

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import BOOM, shipped
-from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
+from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, silent
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.local_error_model import (
     fit_error_model,
@@ -18,7 +18,6 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.calibration.take_up import backlash_sides, slew_angles
 from vision_pc.core.positioning.corrected_positioning import look_then_move_corrected
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import WatchSample
@@ -135,19 +134,6 @@ async def test_an_open_loop_step_is_one_motion_and_corrections_end_when_odometry
         assert len(result.positioning.steps) == drives
 
 
-def test_slew_angle_from_the_tools_pose() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        q = Q_START + rng.uniform(-0.3, 0.3, 6)
-        assert slew_angles(forward(q)[None], 0.35)[0] == pytest.approx(q[0], abs=1e-9)
-        assert inverse_kinematics(forward(q), q)[0] == pytest.approx(q[0])
-
-
-def test_play_follows_the_flanks() -> None:
-    slew = np.array([0.0, 1.0, 2.0, 1.9, 1.0, 1.05, 1.3]) * 1e-3
-    assert np.allclose(backlash_sides(slew, 3e-4), [0.0, -1.0, -1.0, -2 / 3, 1.0, 5 / 6, 0.0])
-
-
 async def test_every_drive_ends_on_the_same_flank_of_the_slews_play_although_it_swings() -> None:
     """A run over the end and back again crosses the play; at a slow pace there is none."""
 
@@ -181,14 +167,6 @@ async def test_what_the_slews_servo_leaves_at_every_end_is_reckoned_with() -> No
             await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
             errors.append(arm.true_error(positioning.clearance_m))
         assert np.linalg.norm(errors[1] - errors[0]) < 1e-3
-
-
-async def test_what_is_expected_after_corrections_is_less_than_after_one_shot() -> None:
-    for seed in range(3):
-        (_, corrected), (_, single) = [await one_look(seed, MAP, k) for k in (None, 0)]
-        expected = [result.positioning.steps[0].expected.std_m[:2] for result in (corrected, single)]
-        assert np.all(expected[0] < expected[1])
-        assert np.all(expected[0] > MAP.odometry_std_m)
 
 
 async def test_a_track_is_stale_once_the_arm_moved_elsewhere() -> None:

@@ -10,7 +10,7 @@ from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
 from vision_pc.application.results import positioning_json
 from vision_pc.config.programs import LocalErrorModelSettings
-from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
+from vision_pc.core.calibration.arm_fields import boom_levers
 from vision_pc.core.calibration.local_error_model import (
     fit_error_model,
     record_local_track,
@@ -18,11 +18,10 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.calibration.take_up import first_take_up, move_with_take_up, slew_lever, widened_by_sight
+from vision_pc.core.calibration.take_up import first_take_up, slew_lever, widened_by_sight
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import (
     CorrectedResult,
-    _track_with,
     look_then_move_corrected,
 )
 from vision_pc.core.positioning.look_then_move import Ended
@@ -181,48 +180,6 @@ def test_steel_that_is_loose_beyond_an_encoder_is_taken_up_as_far_as_odometry_sa
         assert widened_by_sight(first, small, X, settings()).turns == pytest.approx(first.turns)
     back = first._replace(turns=-first.turns)
     assert widened_by_sight(back, 1.0 * lever, X, settings()).turns[0] == -most
-
-
-async def test_a_fine_drive_that_missed_widens_the_turn_of_those_that_follow() -> None:
-    rig = BandedRig(10, [0.0, 0.0, 0.0])
-    track = await record_local_track(rig, rig, silent, settings(), BOOM)
-    miss = 2e-3 * slew_lever(track.X_BT_now)
-    turns = [_track_with(track, track, found, settings()).take_up.turns[0] for found in (miss, None)]
-    assert turns == pytest.approx([settings().take_up.bands * 2e-3, track.take_up.turns[0]])
-    assert len(_track_with(track, track, miss, settings()).residuals) == 1
-
-
-class TimedRig(BandedRig):
-    """Notes how long each motion to a pose was to take."""
-
-    took: list[float]
-
-    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
-        self.took.append(duration_s)
-        return await super().move_to(X_BT_ref, duration_s)
-
-
-async def test_a_longer_turn_takes_up_play_no_faster() -> None:
-    first, took = first_take_up(settings()), list[float]()
-    for longer in (1.0, 2.0):
-        rig = TimedRig(10, [0.0, 0.0, 0.0])
-        rig.took = []
-        end = (await rig.view()).X_BT_cmd
-        await move_with_take_up(rig, [end], first._replace(turns=longer * first.turns), BOOM, settings())
-        took.append(max(rig.took))
-    assert took[1] == pytest.approx(2.0 * took[0])
-    assert took[0] > 0.0
-
-
-def test_turns_of_the_joints_are_found_again_in_the_step_they_make() -> None:
-    turns = np.array([4e-4, -3e-4, 2e-4])
-    moved = Q_START.copy()
-    moved[:3] += turns
-    assert np.allclose(joint_turns(forward(Q_START), forward(moved), BOOM), turns, atol=3e-6)
-    X = forward(Q_START)
-    held = transform(X[:3, :3], X[:3, 3] + boom_levers(X, BOOM) @ turns)
-    q = inverse_kinematics(held, Q_START)
-    assert np.allclose(q[:3] - Q_START[:3], turns, atol=1e-5)
 
 
 def _stopped(ends: Array, thresholds: list[float]) -> Array:

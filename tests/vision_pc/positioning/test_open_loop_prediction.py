@@ -19,7 +19,6 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoOffset
 
 PROGRAMS = shipped()
-ONE_DRIVE = PROGRAMS.positioning.model_copy(update={"corrections": 0})
 
 
 def adapting(**changes: float) -> LocalErrorModelSettings:

@@ -49,16 +49,6 @@ async def test_best_mode_needs_one_look(station: Bench) -> None:
     assert abs(moved["result"]["measured_miss_mm"]["x"]) < 5.0
 
 
-@pytest.mark.slow("motions in real time")
-async def test_line_equation_moves_once_and_looks_at_the_result(station: Bench) -> None:
-    await station.post("/enable")
-    await station.run("orientation-adjustment")
-    before = np.linalg.norm(station.rig.true_error(0.1)[:2])
-    line = await station.succeeded("line-equation", {"minimum": "fit", "radius_m": 0.15})
-    assert np.linalg.norm(station.rig.true_error(0.1)[:2]) < 0.3 * before
-    assert line["result"]["look"]["verdict"] in ("inside", "outside")
-
-
 async def test_nothing_moves_before_enable(station: Bench) -> None:
     for kind, body in (
         ("move", {"offset_base_m": [0.0, 0.1, 0.0]}),
@@ -70,19 +60,6 @@ async def test_nothing_moves_before_enable(station: Bench) -> None:
         refused(await station.post(f"/operations/{kind}", body), 409, "refused.disabled")
     assert station.controller.requests == []
     assert (await station.client.get("/operations")).json() == []
-
-
-async def test_a_refusal_says_what_to_do(station: Bench) -> None:
-    asked = await station.post("/operations/move", {"offset_base_m": [0.0, 0.1, 0.0]})
-    assert refused(asked, 409, "refused.disabled")["advice"] == "Hold ENABLE first."
-    assert refused(await station.client.get("/looks/latest"), 404, "refused.no_look_yet")["advice"]
-
-
-async def test_a_look_needs_no_enable(station: Bench) -> None:
-    refused(await station.client.get("/looks/latest"), 404, "refused.no_look_yet")
-    look = await station.succeeded("look", {"frames": 5})
-    assert look["result"]["frames"] == 5
-    assert look["result"]["X_CO"]["q_wxyz"]
 
 
 async def test_look_while_moving_is_refused_and_so_is_everything_else(station: Bench) -> None:
@@ -102,16 +79,6 @@ async def test_one_operation_at_a_time(station: Bench) -> None:
     assert (await station.client.get("/state")).json()["operation"] == first.json()["id"]
     await station.ended(first.headers["Location"])
     await station.succeeded("look")
-
-
-async def test_look_then_move_wants_a_calibration(station: Bench) -> None:
-    await station.post("/enable")
-    refused(await station.post("/operations/look-then-move"), 409, "refused.not_calibrated")
-    refused(
-        await station.post("/operations/look-then-move", {"method": "corrected"}),
-        409,
-        "refused.not_calibrated",
-    )
 
 
 async def test_move_by_offsets_and_to_a_pose(station: Bench) -> None:
@@ -152,26 +119,6 @@ async def test_state_and_health_and_picture(station: Bench) -> None:
     picture = await station.client.get("/camera/latest.png")
     assert picture.headers["content-type"] == "image/png"
     assert picture.content.startswith(b"\x89PNG")
-
-
-async def test_openapi_describes_the_face(station: Bench) -> None:
-    document = (await station.client.get("/openapi.json")).json()
-    paths = document["paths"]
-    for kind in (
-        "look",
-        "orientation-adjustment",
-        "line-equation",
-        "trajectory-matching",
-        "look-then-move",
-        "move",
-    ):
-        operation = paths[f"/operations/{kind}"]["post"]
-        assert "202" in operation["responses"]
-        assert "Location" in operation["responses"]["202"]["headers"]
-    assert document["components"]["schemas"]["TrajectoryBody"]["properties"]["segments_m"]["examples"]
-    assert "application/problem+json" in json.dumps(paths["/enable"])
-    for command in ("enable", "disable", "stop", "reset", "emergency-stop", "emergency-release"):
-        assert f"/{command}" in paths
 
 
 @pytest.mark.realtime

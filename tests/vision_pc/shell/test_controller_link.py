@@ -12,7 +12,6 @@ from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import ANY_ARM, Command, ReferencePose
-from tests.support.log_lines import HeardLog
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.application.link_arm import LinkArm
@@ -261,15 +260,3 @@ async def test_commands_that_wait_end_with_the_link(
     with pytest.raises(LinkLost) as lost:
         await link.request(Command(0, CommandCode.ENABLE))
     assert lost.value.cause in {"link.link_timeout", "link.unanswered"}
-
-
-async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
-    log = HeardLog("vision_pc")
-    endpoint = UdpEndpoint(LinkSettings(port=controller.port), ANY_ARM, log, MonotonicClock())
-    await endpoint.start()
-    await until(lambda: endpoint.link.connected)
-    await endpoint.link.command(CommandCode.ENABLE)
-    await endpoint.close()
-    lines = log.text().splitlines()
-    assert any('"link_connected"' in line for line in lines)
-    assert any('"acknowledged"' in line and '"accepted"' in line for line in lines)

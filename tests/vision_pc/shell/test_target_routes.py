@@ -30,15 +30,6 @@ async def test_a_click_makes_a_target_that_is_aimed_at_and_can_be_forgotten(stat
     assert station.events("target_made")
 
 
-async def test_a_target_of_an_arm_that_has_gone_unwatched_is_told_as_lost(station: Bench) -> None:
-    await station.post("/enable")
-    await station.post("/targets", {"u_px": 812.4, "v_px": 301.0})
-    assert (await station.client.get("/targets/t1")).json()["known"] == "measured"
-    await station.succeeded("move", {"offset_base_m": [0.0, 0.02, 0.0]})
-    station.eyes.carries = True  # nobody watches now
-    assert (await station.client.get("/targets/t1")).json()["known"] == "lost"
-
-
 async def test_what_cannot_be_told_is_a_problem_with_its_cause_and_candidates(station: Bench) -> None:
     answer = await station.post("/targets", {"u_px": -5.0, "v_px": 3.0})
     assert answer.status_code == 422

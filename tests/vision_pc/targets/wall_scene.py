@@ -56,27 +56,6 @@ def rock(seed: int = 3, contrast: float = 22.0) -> Array:
     return texture
 
 
-def before_the_wall(behind: WallScene, place: tuple[float, float], length: float, seed: int = 5) -> WallScene:
-    """``behind`` with the mouth of a tube ``length`` m before the wall: a bright ring about a dark disc."""
-    texture, mask = np.full((400, 400), 40.0, np.float32), np.zeros((400, 400), np.float32)
-    X_CT = behind.X_CW @ se3.transform(np.eye(3), [*place, length])
-    for radius, grey in ((DIAMETER / 2 + 0.005, 170.0), (DIAMETER / 2, 14.0)):
-        at = (round(199.5 * 256), round(199.5 * 256))
-        cv2.circle(texture, at, round(radius / 0.00025 * 256), grey, cv2.FILLED, cv2.LINE_AA, 8)
-        cv2.circle(mask, at, round((DIAMETER / 2 + 0.004) / 0.00025 * 256), 1.0, cv2.FILLED, cv2.LINE_AA, 8)
-    pictures = []
-    for eye, picture in ((CAMERA.left, behind.pair.left), (CAMERA.right, behind.pair.right)):
-        shape = picture.shape
-        share = draw_wall(eye, shape, mask, 0.00025, X_CT)
-        u, v = intrinsics.project(eye, X_CT[None, :3, 3])[0]
-        rows, columns = np.indices(shape)
-        share[np.hypot(columns - u, rows - v) > 24.0] = 0.0  # the texture is mirrored beyond its rim
-        near = draw_wall(eye, shape, texture, 0.00025, X_CT)
-        noisy = near + np.random.default_rng(seed).normal(0.0, 2.0, shape)
-        pictures.append(np.clip(share * noisy + (1.0 - share) * picture, 0, 255).astype(np.uint8))
-    return WallScene(StereoPair(pictures[0], pictures[1], 0, seed), behind.X_CW)
-
-
 def scene(
     texture: Array, X_CW: Array, seed: int = 1, step: tuple[float, Array] | None = None, tool: bool = True
 ) -> WallScene:
