@@ -15,7 +15,7 @@ import numpy as np
 from laboratory.experiments.positioning.corrected_run import operate, prepared
 from testbed.demonstration.sequence import Recorder, demonstrate
 from testbed.lockstep.clock import RunLog
-from testbed.lockstep.rig import GuidedRig, LockstepRig, quiet
+from testbed.lockstep.rig import GuidedRig, LockstepRig, quiet, start
 from testbed.lockstep.world import TRUTH_PERIOD_NS
 from testbed.reporting.console import bars
 from testbed.scenarios.scenario import chosen_overrides, load_settings
@@ -68,7 +68,7 @@ def _servoing(_recipe: str, seed: int) -> LockstepRig:
 def _guided(_recipe: str, seed: int) -> GuidedRig:
     with tempfile.TemporaryDirectory() as directory:
         rig = GuidedRig(still_settings(seed), seed, Path(directory))
-        rig.start(rig, "digest", seed)
+        start(rig, "digest", seed)
         for _ in range(2):
             rig.run(rig.guided.next_pose(quiet, False))
             rig.run(rig.guided.sample(quiet))

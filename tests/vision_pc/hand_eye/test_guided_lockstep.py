@@ -7,7 +7,7 @@ import pytest
 
 from protocol.errors import RequestRefused
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.rig import GuidedRig, quiet
+from testbed.lockstep.rig import GuidedRig, quiet, start
 from tests.vision_pc.hand_eye.still_rig import still_settings
 from vision_pc.application.hand_eye.responses import check_json
 from vision_pc.core import se3
@@ -17,16 +17,16 @@ from vision_pc.core.hand_eye.guided import nominal_model
 def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path) -> None:
     quick = {"vision": {"hand_eye": {"frames": 1, "minimum_frames": 1, "settle_timeout_s": 0.5}}}
     rig = GuidedRig(still_settings(**quick), 1, tmp_path)
-    check = rig.start(rig, "monday", 1)
+    check = start(rig, "monday", 1)
     assert check_json(check)["verdict"].endswith("0/17: ready")
-    start = rig.run(rig.arm.view()).X_BT
-    away = se3.transform(start[:3, :3], start[:3, 3] + [-0.08, 0.0, 0.05])
+    X_BT = rig.run(rig.arm.view()).X_BT
+    away = se3.transform(X_BT[:3, :3], X_BT[:3, 3] + [-0.08, 0.0, 0.05])
     rig.run(rig.link.request(ReferencePose(0, se3.to_pose(away), 2.0)))
     with pytest.raises(RequestRefused) as told:
         rig.run(rig.guided.sample(quiet))
     assert told.value.cause == "refused.moving"
     assert [s.name for s in rig.guided.session.samples] == ["1"]
-    outside = se3.transform(start[:3, :3], start[:3, 3] + [3.0, 0.0, 0.0])
+    outside = se3.transform(X_BT[:3, :3], X_BT[:3, 3] + [3.0, 0.0, 0.0])
     with pytest.raises(RequestRefused) as told:
         rig.run(rig.arm.move_to(outside))
     assert told.value.cause == "refused.too_far"
