@@ -86,7 +86,7 @@ PLAIN_ROWS = (
     ("lets the newest client in", (211,), (S, OCCUPIED, "if False:")),
     ("uses a datagram of the session from anywhere", (218,), (S, SOURCE, "        if False:")),
     ("answers BYE", (222,),
-     (S, "self._closed(message.reason, now_ns, tell_peer=False)", "self._closed(message.reason, now_ns, tell_peer=True)")),
+     (S, "self._close(message.reason, now_ns, tell_peer=False)", "self._close(message.reason, now_ns, tell_peer=True)")),
     ("answers every stranger", (223,), (S, "if self._refused_at_ns is not None and", "if False and")),
     ("waits twice as long", (224,), (S, "now_ns - heard_ns <= self", "now_ns - heard_ns <= 2 * self")),
     ("leaves in silence", (224,), (S, "LINK_TIMEOUT, now_ns, tell_peer=True", "LINK_TIMEOUT, now_ns, tell_peer=False")),

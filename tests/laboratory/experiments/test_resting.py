@@ -103,7 +103,6 @@ def test_mobile_valves_park_and_tell_it(parked: Parked, monkeypatch: pytest.Monk
     assert 0.0 < row["end_mm"] <= row["moved_mm"] < 1.0
     assert row["rested_s"] == row["inside_s"] == 0.0
     assert row["astray"] > 0  # nothing stands to a thousandth of a millimetre
-    assert row["kept"] == ""
     assert flat(row)["machine_valves"] == "mobile"
     assert loop.state.standing.parked
     x, y, z = loop.view.X_BT.p_m
@@ -156,7 +155,7 @@ def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
     rows = [
         ParkingRow("", t["seed"], MachineKind(t["arm"], t["valves"], "parking", 20.0), 10.0, 5.0, 6.0,
                    0.4 + 0.3 * k,
-                   0.2, 0.1, 3, "", 0, 60.0)
+                   0.2, 0.1, 3, 0, 60.0)
         for k, t in enumerate(tasks)
     ]  # fmt: skip
     done = Finished(REQUEST, ParkingOptions(), tasks, rows, 0)

@@ -211,7 +211,7 @@ def test_a_hole_that_is_seen_on_the_way_alone_is_driven_to(monkeypatch: pytest.M
         return HoleEnd(known=target)
 
     for name, fake in (("LockstepRig", PassedBy), ("hole_scenario", lambda *_: MagicMock()),
-                       ("hole_places", lambda _: PLACES), ("_visited", visited)):  # fmt: skip
+                       ("hole_places", lambda _: PLACES), ("_drive_to_hole", visited)):  # fmt: skip
         monkeypatch.setattr(hole_drives, name, fake)
     asked = {"seed": 1, "world": "lab", "arm": "plant", "holes": 3}
     driven = hole_drive(CONFIGS, asked)
