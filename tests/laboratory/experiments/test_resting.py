@@ -150,7 +150,8 @@ REQUEST = CampaignRequest(CONFIGS, CONFIGS, runs=4, seed=9, workers=1)
 
 
 def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
-    tasks = parking_tasks(REQUEST, ParkingOptions())
+    options = ParkingOptions(machines="mobile,real")
+    tasks = parking_tasks(REQUEST, options)
     assert len({task["key"] for task in tasks}) == 4
     rows = [
         ParkingRow("", t["seed"], MachineKind(t["arm"], t["valves"], "parking", 20.0), 10.0, 5.0, 6.0,
@@ -158,12 +159,12 @@ def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
                    0.2, 0.1, 3, 0, 60.0)
         for k, t in enumerate(tasks)
     ]  # fmt: skip
-    done = Finished(REQUEST, ParkingOptions(), tasks, rows, 0)
+    done = Finished(REQUEST, options, tasks, rows, 0)
     met = {check.what.partition(",")[0]: [] for check in parking_verdict(done)}
     for check in parking_verdict(done):
         met[check.what.partition(",")[0]].append(check.met)
     assert met["moved by most"] == [True, True, True, False]
     assert list(parking_table(done)[0].columns[-1].cells) == ["met", "met", "met", "NOT met"]
-    failed = Finished(REQUEST, ParkingOptions(), tasks, [rows[0]._replace(failure="fault"), *rows[1:]], 0)
+    failed = Finished(REQUEST, options, tasks, [rows[0]._replace(failure="fault"), *rows[1:]], 0)
     assert parking_verdict(failed)[0].met is False
     assert len(parking_table(failed)) == 2
