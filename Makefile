@@ -82,7 +82,7 @@ setup-dev: $(DEV_STAMP)  ## that and what tests
 demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict against 5 mm (ARGS="--seed 3")
 	$(BIN)/longreach demo $(ARGS)
 
-test: $(DEV_STAMP)  ## the product's tests, in three minutes on two cores (ARGS="-k kinematics")
+test: $(DEV_STAMP)  ## the product's tests, four minutes of two cores (ARGS="-k kinematics")
 	@$(PYTEST) $(LABORATORY:%=--ignore=%) $(ARGS)
 
 test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages

@@ -170,8 +170,8 @@ class Master:
     def refused(self, pdu: bytes, code: int, what: str) -> None:
         """Raises Failed unless ``pdu`` is answered with the exception ``code`` under its function code."""
         answer = self.ask(pdu)
-        wanted = bytes([pdu[0] | 0x80, code])
-        require(answer == wanted, f"{what}: answered {answer.hex()}, wanted {wanted.hex()}")
+        expected = bytes([pdu[0] | 0x80, code])
+        require(answer == expected, f"{what}: answered {answer.hex()}, wanted {expected.hex()}")
 
     def done(self, pdu: bytes, what: str) -> bytes:
         """The answer's PDU; raises Failed when it is an exception."""

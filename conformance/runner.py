@@ -58,8 +58,8 @@ def chosen(
     steps: tuple[FirstHourStep, ...] | None = None,
 ) -> tuple[ConformanceCase, ...]:
     """Those of ``cases`` with ``numbers`` (None: all), by number, or those of ``steps`` in their order."""
-    wanted = None if numbers is None else set(numbers)
-    by_number = {case.number: case for case in cases if wanted is None or case.number in wanted}
+    expected = None if numbers is None else set(numbers)
+    by_number = {case.number: case for case in cases if expected is None or case.number in expected}
     if steps is None:
         return tuple(by_number.values())
     return tuple(by_number[step.number] for step in steps if step.number in by_number)

@@ -58,7 +58,7 @@ class RepeatedLines(Generic[Line]):
 
     def due(self, now_ns: int) -> list[tuple[Line, int]]:
         """The lines whose time has come, each with how many it stands for. Quiet kinds are forgotten."""
-        told: list[tuple[Line, int]] = []
+        reports: list[tuple[Line, int]] = []
         for kind, known in list(self._kinds.items()):
             if now_ns < known.due_ns:
                 continue
@@ -66,11 +66,11 @@ class RepeatedLines(Generic[Line]):
                 if now_ns - known.seen_ns >= SOONEST_NS:
                     del self._kinds[kind]
                 continue
-            told.append((known.waiting, known.repeated))
+            reports.append((known.waiting, known.repeated))
             known.waiting, known.repeated = None, 0
             known.interval_ns = min(2 * known.interval_ns, LATEST_NS)
             known.due_ns = now_ns + known.interval_ns
-        return told
+        return reports
 
     def rest(self) -> list[tuple[Line, int]]:
         """All lines that wait, as ``due`` has them; nothing is kept."""
@@ -192,8 +192,8 @@ class EventLog:
 
     def _tell(self, which: Callable[[], list[tuple[_Occurrence, int]]]) -> None:
         with self._repeating:
-            told = which()
-        for occurrence, count in told:
+            reports = which()
+        for occurrence, count in reports:
             self._append(_standing_for(occurrence, count))
 
     def _line(self, occurrence: _Occurrence) -> str:

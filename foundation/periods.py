@@ -91,21 +91,21 @@ class Limit(NamedTuple):
 class OverloadWatch:
     """Compares shares within the last five seconds with ``limits`` (by name).
 
-    ``told``: one sentence with the worst figure while the machine is overloaded, else empty.
+    ``warning``: one sentence with the worst figure while the machine is overloaded, else empty.
     """
 
     def __init__(self, limits: Mapping[str, Limit]) -> None:
         self._limits = limits
         self._past: deque[tuple[int, Mapping[str, Tally]]] = deque()
-        self.told = ""
+        self.warning = ""
 
     def update(self, now_ns: int, counts: Mapping[str, Tally]) -> str:
-        """``told`` after ``counts`` of ``now_ns``. Names without a limit are left aside."""
+        """``warning`` after ``counts`` of ``now_ns``. Names without a limit are left aside."""
         self._past.append((now_ns, counts))
         while len(self._past) > 2 and self._past[1][0] <= now_ns - WINDOW_NS:
             self._past.popleft()
         began_ns, before = self._past[0]
-        worst, self.told = 1.0, ""
+        worst, self.warning = 1.0, ""
         for name, limit in self._limits.items():
             if name not in counts or name not in before:
                 continue
@@ -118,8 +118,8 @@ class OverloadWatch:
                 worst = percent / limit.percent
                 seconds = (now_ns - began_ns) / 1e9
                 share = f"{percent:.1f} % {limit.words} in the last {seconds:.0f} s"
-                self.told = f"the machine is overloaded: {share}"
-        return self.told
+                self.warning = f"the machine is overloaded: {share}"
+        return self.warning
 
 
 _BINS = 50_000  # one a microsecond; what is longer is counted in the last and known by its maximum

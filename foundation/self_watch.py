@@ -109,7 +109,7 @@ class SelfWatch:
     @property
     def overload(self) -> str:
         """One sentence with a figure while the machine is overloaded, else empty."""
-        return self._overload.told or self._still
+        return self._overload.warning or self._still
 
     async def keep_looking(self) -> None:
         """Look until cancelled."""

@@ -96,10 +96,10 @@ def served_after_expiry(master: Master) -> None:
 )
 def status_bits(master: Master) -> None:
     spare = spare_word(master, watchdog_ms=SHORT_MS)
-    for wanted in (0, STATUS_FIELDBUS, 0):
+    for expected in (0, STATUS_FIELDBUS, 0):
         got, told = master.word(STATUS), count(master, 2)
-        require(got & 0x8003 == wanted and told == got, f"status {got:#06x}, diagnostics {told:#06x}")
-        if wanted == 0:
+        require(got & 0x8003 == expected and told == got, f"status {got:#06x}, diagnostics {told:#06x}")
+        if expected == 0:
             master.done(word_request(spare, 1), "a write")
             wait(SHORT_MS + LATE_MS)
         else:

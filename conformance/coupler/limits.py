@@ -254,16 +254,16 @@ def _make_refused_requests(master: Master) -> None:
 @case(821, "2.6", "sub-functions 11 and 14 count every request once, sound or refused")
 def requests_counted(master: Master) -> None:
     for sub in (REQUESTS, ADDRESSED):
-        for each, wanted in ((_sound, 3), (_make_refused_requests, 5)):
+        for each, expected in ((_sound, 3), (_make_refused_requests, 5)):
             got = least_growth(master, sub, lambda each=each: each(master))  # type: ignore[misc]
-            require(got == wanted, f"sub-function {sub} grew by {got} with {wanted} requests")
+            require(got == expected, f"sub-function {sub} grew by {got} with {expected} requests")
 
 
 @case(822, "2.6", "sub-function 13 counts every exception once and nothing else")
 def exceptions_counted(master: Master) -> None:
-    for each, wanted in ((_sound, 0), (_make_refused_requests, 4)):
+    for each, expected in ((_sound, 0), (_make_refused_requests, 4)):
         got = least_growth(master, EXCEPTIONS, lambda each=each: each(master))  # type: ignore[misc]
-        require(got == wanted, f"it grew by {got} with {wanted} exceptions")
+        require(got == expected, f"it grew by {got} with {expected} exceptions")
 
 
 @case(823, "2.6", "sub-function 12 counts every frame that ends a connection and nothing else")

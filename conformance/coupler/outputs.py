@@ -65,10 +65,10 @@ def several_registers(master: Master) -> None:
 def single_coil(master: Master) -> None:
     spare = spare_word(master)
     master.done(word_request(spare, 0xAAAA), "writing the word")
-    for request, wanted in (("05 0002 FF00", 0xAAAE), ("05 0003 0000", 0xAAA6)):
+    for request, expected in (("05 0002 FF00", 0xAAAE), ("05 0003 0000", 0xAAA6)):
         pdu = bytes.fromhex(request)
         require(master.ask(pdu) == pdu, "the answer is not the request")
-        require(master.bits(READ_COILS, 0, 16) == wanted, f"after {request}: not {wanted:#06x}")
+        require(master.bits(READ_COILS, 0, 16) == expected, f"after {request}: not {expected:#06x}")
 
 
 @case(654, "2.7", "several coils are written, those beyond the quantity are left", motion=True)
@@ -193,7 +193,7 @@ def each_coil(master: Master) -> None:
 @case(852, "2.7", "coils are written over the border of two bytes, and to the last one", motion=True)
 def coils_over_bytes(master: Master) -> None:
     spare = spare_word(master)
-    for address, bits, data, wanted in (
+    for address, bits, data, expected in (
         (0, 16, "34 92", 0x9234), (0, 9, "FF FF", 0x01FF), (0, 9, "00 01", 0x0100), (0, 9, "FF 00", 0x00FF),
         (6, 5, "F5", 0x0540), (5, 10, "55 FF", 0x6AA0), (15, 1, "01", 0x8000),
     ):  # fmt: skip
@@ -202,7 +202,7 @@ def coils_over_bytes(master: Master) -> None:
         require(master.ask(pdu) == pdu[:5], "the answer is not address and quantity")
         got = master.word(spare)
         require(
-            got == wanted, f"{bits} coils from {address} on with {data}: {got:#06x}, wanted {wanted:#06x}"
+            got == expected, f"{bits} coils from {address} on with {data}: {got:#06x}, wanted {expected:#06x}"
         )
 
 
@@ -325,11 +325,11 @@ def refused_settings_change_nothing(master: Master) -> None:
 def neighbours_stay(master: Master) -> None:
     spare = spare_word(master)
     words = [0] * (spare - OUTPUTS) + [KEPT]
-    for pdu, wanted in (
+    for pdu, expected in (
         (coil_request(1), KEPT | 2), (coils_request(0, 1, b"\0"), KEPT & ~1 | 2), (word_request(spare, 7), 7)
     ):  # fmt: skip
         master.done(pdu, "a write")
-        words[-1] = wanted if pdu[0] == 6 else master.word(spare)
+        words[-1] = expected if pdu[0] == 6 else master.word(spare)
         require(master.words(OUTPUTS, len(words)) == words, f"{pdu.hex()} changed another output")
     master.done(read_request(READ_COILS, 0, 16), "reading")
 

@@ -71,8 +71,8 @@ def counts_of_waypoints(peer: Peer) -> None:
     require(got[1:] == (Reason.EMPTY_PATH, 0.0, 1.0), f"0 waypoints: {got}")
     for count in (MAX_WAYPOINTS + 1, MAX_WAYPOINTS + 2, 2**31, 2**32 - 1):
         got = path_that_says(peer, count)
-        wanted = (Reason.TOO_MANY_WAYPOINTS, float(count), float(MAX_WAYPOINTS))
-        require(got[1:] == wanted, f"{count} waypoints: {got}")
+        expected = (Reason.TOO_MANY_WAYPOINTS, float(count), float(MAX_WAYPOINTS))
+        require(got[1:] == expected, f"{count} waypoints: {got}")
 
 
 @case(432, "3.6", "the code of an unknown command is its value, its limit 0; codes 0 and 9 are unknown")
@@ -205,8 +205,8 @@ def odd_numbers_in_a_pose(peer: Peer) -> None:
         for place in range(8):
             pose, duration = _with(here, 0.0, place, odd)
             got = reference_reason(peer, pose, duration)
-            wanted = (Reason.NOT_FINITE, 0.0, 0.0 if place == 7 else 1.0)
-            require(got[1:] == wanted, f"{odd} at place {place}: {got}")
+            expected = (Reason.NOT_FINITE, 0.0, 0.0 if place == 7 else 1.0)
+            require(got[1:] == expected, f"{odd} at place {place}: {got}")
     require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
 
 
@@ -225,8 +225,8 @@ def odd_numbers_in_a_path(peer: Peer) -> None:
                 points = [here] * 3
                 points[waypoint], _ = _with(here, 0.0, place, odd)
                 got = peer.ask(ReferencePath(peer.new_id(), tuple(points), 0.0, 0.0), f"{odd} in a path")
-                wanted = (Reason.NOT_FINITE, float(waypoint), 3.0)
-                require(got[1:] == wanted, f"{odd} at place {place} of waypoint {waypoint}: {got}")
+                expected = (Reason.NOT_FINITE, float(waypoint), 3.0)
+                require(got[1:] == expected, f"{odd} at place {place} of waypoint {waypoint}: {got}")
         for what, times in (("segment_s", (odd, 0.0)), ("dwell_s", (0.0, odd))):
             got = peer.ask(ReferencePath(peer.new_id(), (here,), *times), f"{odd} as {what}")
             require(got[1:] == (Reason.NOT_FINITE, 0.0, 0.0), f"{odd} as {what}: {got}")

@@ -70,8 +70,8 @@ def major_first(peer: Peer) -> None:
         peer.collect(RATION_MS, beating=False)
         peer.send_raw(bent)
         got = [d.message for d in peer.collect(40 if not answered else RATION_MS, beating=False)]
-        wanted = [Bye(Reason.INCOMPATIBLE_VERSION)] if answered else []
-        require(got == wanted, f"another major version and {what}: came {got}")
+        expected = [Bye(Reason.INCOMPATIBLE_VERSION)] if answered else []
+        require(got == expected, f"another major version and {what}: came {got}")
 
 
 def bent_requests(peer: Peer, session: int) -> Iterator[tuple[str, bytes]]:

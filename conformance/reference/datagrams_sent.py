@@ -45,8 +45,8 @@ def every_kind(peer: Peer) -> list[bytes]:
     peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE")
     came = [line.data for line in peer.transcript if line.direction == "receive"]
     kinds = {data[KIND] for data in came}
-    wanted = {Kind.WELCOME, Kind.HEARTBEAT_REPLY, Kind.ACKNOWLEDGEMENT, Kind.STATE, Kind.BYE}
-    require(wanted <= kinds, f"kinds {sorted(kinds)} came, wanted {sorted(wanted)}")
+    expected = {Kind.WELCOME, Kind.HEARTBEAT_REPLY, Kind.ACKNOWLEDGEMENT, Kind.STATE, Kind.BYE}
+    require(expected <= kinds, f"kinds {sorted(kinds)} came, wanted {sorted(expected)}")
     return came
 
 
@@ -134,8 +134,8 @@ def both_can(peer: Peer) -> None:
     peer.leave()
     for offered in (0, 1, 2, 3, 2, 1, 0):
         granted = peer.open(capabilities=offered).capabilities
-        wanted = can & (offered | peer.required)
-        require(granted == wanted, f"{granted:#x} of {offered:#x}: the controller can {can:#x}")
+        expected = can & (offered | peer.required)
+        require(granted == expected, f"{granted:#x} of {offered:#x}: the controller can {can:#x}")
         peer.leave()
 
 

@@ -122,13 +122,15 @@ class PageFiles:
         if served is None:  # in a thread: this loop may have a stop to serve
             served = self._served[path] = await asyncio.to_thread(_load, self._files[path])
         media_type = _MEDIA_TYPES["." + self._files[path].name.rpartition(".")[2]]
-        told = {"ETag": served.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
-        told["Content-Security-Policy"] = policy
+        reply = {"ETag": served.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+        reply["Content-Security-Policy"] = policy
         if headers.get("if-none-match") == served.etag:
-            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=told)
+            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=reply)
         if "gzip" in headers.get("accept-encoding", ""):
-            return Response(served.zipped, media_type=media_type, headers=told | {"Content-Encoding": "gzip"})
-        return Response(served.body, media_type=media_type, headers=told)
+            return Response(
+                served.zipped, media_type=media_type, headers=reply | {"Content-Encoding": "gzip"}
+            )
+        return Response(served.body, media_type=media_type, headers=reply)
 
 
 def add_files(app: FastAPI, files: PageFiles, asks: str = "") -> None:

@@ -137,17 +137,17 @@ def without_what_is_told(valve_set: Mapping[str, Any], own: Mapping[str, Any]) -
     joints = valve_set.get("joints")
     if not isinstance(joints, Mapping):
         return dict(valve_set)
-    told = {key: value for key, value in own.items() if key != "joints"}
-    return {**valve_set, "joints": {name: _untold(entry, told) for name, entry in joints.items()}}
+    stated = {key: value for key, value in own.items() if key != "joints"}
+    return {**valve_set, "joints": {name: _without_common(entry, stated) for name, entry in joints.items()}}
 
 
-def _untold(entry: Any, told: Mapping[str, Any]) -> Any:
-    """A joint's ``entry`` without the keys that are ``told``; of those told in part, without these parts."""
+def _without_common(entry: Any, stated: Mapping[str, Any]) -> Any:
+    """A joint's ``entry`` without the keys that are ``stated``; of those stated in part, without these."""
     if not isinstance(entry, Mapping):
         return entry
     left = {}
     for key, value in entry.items():
-        common = told.get(key)
+        common = stated.get(key)
         if isinstance(common, Mapping) and key in JointValveConfig.model_fields:
             whole = _spread(value, _parts(key))
             if isinstance(whole, Mapping):
@@ -242,8 +242,12 @@ class ValvesConfig(StrictModel):
 
         Behind a compensator the regularised law, which stays a little below the root, meets the rated flow.
         """
-        rated, kept, soft = self.rated_drop_bar, self.compensator_bar, self.regularisation_bar
-        metered = kept * kept / math.sqrt(kept * kept + soft * soft) if kept > 0.0 else rated
+        rated, compensated, soft = self.rated_drop_bar, self.compensator_bar, self.regularisation_bar
+        metered = (
+            compensated * compensated / math.sqrt(compensated * compensated + soft * soft)
+            if compensated > 0.0
+            else rated
+        )
         return metered, rated, metered, rated
 
     def of(self, name: JointName, rated_flow_l_min: float) -> Valve:
@@ -253,26 +257,26 @@ class ValvesConfig(StrictModel):
         """
         own = self.joints.get(name) or JointValveConfig()
 
-        def told(key: str, part: str | None = None, otherwise: float = math.nan) -> float:
+        def stated(key: str, part: str | None = None, otherwise: float = math.nan) -> float:
             return _value_of(own, dict(self), key, part, otherwise)
 
         return Valve(
-            bandwidth_hz=told("bandwidth_hz"),
-            damping_ratio=told("damping_ratio"),
-            slew_out_per_s=told("slew_limit_per_s", "out"),
-            slew_back_per_s=told("slew_limit_per_s", "back"),
-            delay_ms=told("delay_ms"),
+            bandwidth_hz=stated("bandwidth_hz"),
+            damping_ratio=stated("damping_ratio"),
+            slew_out_per_s=stated("slew_limit_per_s", "out"),
+            slew_back_per_s=stated("slew_limit_per_s", "back"),
+            delay_ms=stated("delay_ms"),
             deadband=(
-                told("deadband", "supply_a"),
-                told("deadband", "return_b"),
-                told("deadband", "supply_b"),
-                told("deadband", "return_a"),
+                stated("deadband", "supply_a"),
+                stated("deadband", "return_b"),
+                stated("deadband", "supply_b"),
+                stated("deadband", "return_a"),
             ),
-            hysteresis=told("hysteresis"),
-            slope_extend=told("initial_slope", "extend"),
-            slope_retract=told("initial_slope", "retract"),
-            flow_extend_l_min=told("flow_l_min", "extend", rated_flow_l_min),
-            flow_retract_l_min=told("flow_l_min", "retract", rated_flow_l_min),
-            spool_leakage_m3_s_pa=told("spool_leakage_m3_s_pa"),
-            actuator_leakage_m3_s_pa=told("actuator_leakage_m3_s_pa"),
+            hysteresis=stated("hysteresis"),
+            slope_extend=stated("initial_slope", "extend"),
+            slope_retract=stated("initial_slope", "retract"),
+            flow_extend_l_min=stated("flow_l_min", "extend", rated_flow_l_min),
+            flow_retract_l_min=stated("flow_l_min", "retract", rated_flow_l_min),
+            spool_leakage_m3_s_pa=stated("spool_leakage_m3_s_pa"),
+            actuator_leakage_m3_s_pa=stated("actuator_leakage_m3_s_pa"),
         )

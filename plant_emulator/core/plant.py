@@ -226,7 +226,7 @@ class Plant:
             supply=float(state[SUPPLY]),
             oil_temperature_degc=float(state[TEMPERATURE]),
             payload_kg=self._load_kg,
-            valves=self._commands.targets.told.copy(),
+            valves=self._commands.targets.commanded.copy(),
             spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
             faults=tuple(sorted(fault.name for fault in self.faults.in_force())),

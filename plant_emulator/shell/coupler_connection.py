@@ -187,12 +187,12 @@ class CouplerConnection:
             self._wait()
             self._coupler.read_for(self, self._coupler.clock_ns() - began_ns)
 
-    def _listen(self, wanted: bool) -> None:
-        if wanted and not self._listens:
+    def _listen(self, listen: bool) -> None:
+        if listen and not self._listens:
             self._loop.add_reader(self._socket.fileno(), self._readable)
-        elif self._listens and not wanted:
+        elif self._listens and not listen:
             self._loop.remove_reader(self._socket.fileno())
-        self._listens = wanted
+        self._listens = listen
 
     def _wait(self) -> None:
         if not self._waits:

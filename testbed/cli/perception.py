@@ -194,14 +194,14 @@ def run_markers(
         raise ConfigurationError(
             "configuration.bad_pairs", f"{len(pictures)} left pictures, but {len(right)} right ones"
         )
-    wanted = frozenset(numbers)
+    requested = frozenset(numbers)
     rows: list[tuple[str, ...]] = []
     figures: list[dict[str, object]] = []
     complete = True
     for k, path in enumerate(pictures):
-        found = _detect_in_picture(path, dictionary, wanted, directory)
-        other = _detect_in_picture(right[k], dictionary, wanted, directory) if right else []
-        missing = sorted(wanted - {marker.number for marker in found})
+        found = _detect_in_picture(path, dictionary, requested, directory)
+        other = _detect_in_picture(right[k], dictionary, requested, directory) if right else []
+        missing = sorted(requested - {marker.number for marker in found})
         complete &= bool(found) and not missing
         rows += [_row(path, marker, other) for marker in found]
         rows += [(path.name, str(number), *["-"] * 6) for number in missing]
@@ -216,11 +216,11 @@ def run_markers(
 
 
 def _detect_in_picture(
-    path: Path, dictionary: str, wanted: frozenset[int], directory: Path | None
+    path: Path, dictionary: str, requested: frozenset[int], directory: Path | None
 ) -> list[PictureMarker]:
     """The markers of the picture at ``path``, also drawn into ``directory``."""
     image = read_grey(path)
-    found = found_markers(image, dictionary, wanted)
+    found = found_markers(image, dictionary, requested)
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(directory / f"{path.parent.name}_{path.stem}_markers.png"), drawn(image, found))

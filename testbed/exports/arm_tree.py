@@ -299,24 +299,24 @@ def _add_body(parent: etree.Element, joints: list[tuple[TreeJoint, Array]]) -> e
     lump = last.body
     if lump.mass > 0.0:
         entries = lump.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        told = {"pos": numbers(lump.centre), "mass": repr(lump.mass), "fullinertia": numbers(entries)}
-        etree.SubElement(body, "inertial", told)
+        attributes = {"pos": numbers(lump.centre), "mass": repr(lump.mass), "fullinertia": numbers(entries)}
+        etree.SubElement(body, "inertial", attributes)
     return body
 
 
 def _add_hinge(body: etree.Element, joint: TreeJoint, X_LJ: Array) -> None:
     """A hinge at ``X_LJ`` in the body's frame."""
-    told = {"name": joint.name, "type": "hinge", "range": numbers(joint.limits)}
-    told |= {"pos": numbers(X_LJ[:3, 3]), "axis": numbers(X_LJ[:3, :3] @ joint.axis)}
+    attributes = {"name": joint.name, "type": "hinge", "range": numbers(joint.limits)}
+    attributes |= {"pos": numbers(X_LJ[:3, 3]), "axis": numbers(X_LJ[:3, :3] @ joint.axis)}
     if joint.stiffness > 0.0:
-        told |= {"stiffness": repr(joint.stiffness), "damping": repr(joint.damping)}
-    etree.SubElement(body, "joint", told)
+        attributes |= {"stiffness": repr(joint.stiffness), "damping": repr(joint.damping)}
+    etree.SubElement(body, "joint", attributes)
 
 
 def _add_mjcf_rod(body: etree.Element, end: Array) -> None:
     """A capsule from the body's origin to ``end``: to be seen, without mass or contact."""
-    told = {"type": "capsule", "fromto": f"0 0 0 {numbers(end)}", "size": repr(RADIUS_M), "mass": "0"}
-    etree.SubElement(body, "geom", told | {"contype": "0", "conaffinity": "0"})
+    attributes = {"type": "capsule", "fromto": f"0 0 0 {numbers(end)}", "size": repr(RADIUS_M), "mass": "0"}
+    etree.SubElement(body, "geom", attributes | {"contype": "0", "conaffinity": "0"})
 
 
 def _place(X: Array) -> dict[str, str]:

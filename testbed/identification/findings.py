@@ -1,4 +1,4 @@
-"""What a fit found, parameter by parameter, in the units of the plant file: value, σ, identified or kept."""
+"""What a fit found, parameter by parameter, in the units of the plant file: value, σ, identified or fixed."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from testbed.reporting.console import Columns, listed, table
 class FittedNumber(NamedTuple):
     """One parameter: the file's number, the reported one and its σ in ``unit``; σ over the prior's spread.
 
-    ``kept``: it is the file's number and the prior's σ.
+    ``fixed``: it is the file's number and the prior's σ.
     """
 
     name: str
@@ -34,19 +34,19 @@ class FittedNumber(NamedTuple):
     std: float
     of_prior: float
     source: str
-    kept: bool
+    fixed: bool
 
     @property
     def identified(self) -> bool:
         """Whether the recording tells it."""
-        return not self.kept and self.of_prior < IDENTIFIED_BELOW
+        return not self.fixed and self.of_prior < IDENTIFIED_BELOW
 
     @property
-    def told(self) -> str:
+    def status(self) -> str:
         """How the number was come by."""
-        if self.kept:
-            return "kept at the prior"
-        return "identified" if self.identified else "only with those kept"
+        if self.fixed:
+            return "fixed at the prior"
+        return "identified" if self.identified else "only with those fixed"
 
     @property
     def percent(self) -> float:
@@ -80,7 +80,7 @@ def _finding(parameter: Parameter, found: Identified, index: int, std: float) ->
         std * abs(fitted) if parameter.kind == "factor" else std,
         std / parameter.spread,
         parameter.source,
-        index in found.whole.kept,
+        index in found.whole.fixed,
     )
 
 
@@ -116,7 +116,7 @@ def first_stages(simple: Simple) -> list[Table]:
 
 
 def found_table(found: Sequence[FittedNumber]) -> Table:
-    """Every parameter with its σ, identified or kept at the prior."""
+    """Every parameter with its σ, identified or fixed at the prior."""
     columns: Columns = {
         "parameter": "{name}",
         "unit": "{unit}",
@@ -124,7 +124,7 @@ def found_table(found: Sequence[FittedNumber]) -> Table:
         "fitted": "{fitted:.5g}",
         "σ": "{std:.2g}",
         "σ %": lambda f: f"{f.percent:.2g}" if f.percent < 1e3 else "–",
-        "": "{told}",
+        "": "{status}",
     }
     return listed("stage 3: the most probable plant", columns, found)
 
@@ -150,15 +150,15 @@ def write_plant_file(
     not written. Raises ConfigurationError when the
     file cannot be written.
     """
-    told = {finding.name: finding for finding in findings(found)}
+    numbers = {finding.name: finding for finding in findings(found)}
     pairs = zip(found.problem.parameters, found.whole.theta, strict=True)
     machine = [(p, theta) for p, theta in pairs if not p.of_start]
     data = changed(found.problem.base, [p for p, _ in machine], np.array([theta for _, theta in machine]))
     data["step_ms"] = _step_ms(data, config.step_ms)
     notes = {
-        key: _provenance(told[p.name], recording, sure)
+        key: _provenance(numbers[p.name], recording, sure)
         for p, _ in machine
-        if not told[p.name].kept
+        if not numbers[p.name].fixed
         for key in p.keys
     }
     lines = [
@@ -186,8 +186,8 @@ def _step_ms(data: dict[str, Any], wished: float) -> float:
 
 def _provenance(finding: FittedNumber, recording: MotionRecording, sure: bool) -> str:
     spread = f"{finding.percent:.2g} %" if finding.percent < 100.0 else f"{finding.std:.2g} {finding.unit}"
-    told = f"±{spread}" if sure else "σ unknown"
-    return f"[I {told}, recording {recording.sha256[:12]}]"
+    sigma = f"±{spread}" if sure else "σ unknown"
+    return f"[I {sigma}, recording {recording.sha256[:12]}]"
 
 
 def _lines(data: Any, path: Key, notes: dict[Key, str], depth: int = 0) -> list[str]:

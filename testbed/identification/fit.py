@@ -98,7 +98,7 @@ def simple_stages(problem: FitProblem, joints: Sequence[int]) -> Simple:
     series: list[Operating] = [operating(problem.base, model, problem.recording, j) for j in joints]
     zones = [dead_zone(one, model, way) for one in series for way in (1, -1)]
     found = [zone for zone in zones if zone is not None]
-    poses = problem.told.angles - 1e-3 * np.array(config.errors.encoder_offsets.mrad)
+    poses = problem.smoothed.angles - 1e-3 * np.array(config.errors.encoder_offsets.mrad)
     forces = balance(series, model, config, poses)
     deadbands = {(zone.joint, zone.way): zone.deadband for zone in found}
     return Simple(found, forces, pressure_fit(series, model, deadbands))
@@ -183,40 +183,40 @@ IDENTIFIED_BELOW = 0.5
 """σ over the prior's spread below which the recording, and not the prior, says what a parameter is."""
 
 
-class FileKept(NamedTuple):
-    """``kept`` parameters at the file's number, ``theta`` (p,) of all, ``covariance`` (p, p) of its error.
+class FixedParameters(NamedTuple):
+    """``fixed`` parameters at the file's number, ``theta`` (p,) of all, ``covariance`` (p, p) of its error.
 
     In units of the priors' spreads.
     """
 
-    kept: tuple[int, ...]
+    fixed: tuple[int, ...]
     theta: Array
     covariance: Array
 
 
-def keep_untold(theta: Array, posterior: Array, machine: list[int]) -> FileKept:
+def fix_unidentified(theta: Array, posterior: Array, machine: list[int]) -> FixedParameters:
     """Put those of ``machine`` that are not told back to 0, one by one, the others conditioned on it.
 
     ``theta`` (p,) and the covariance ``posterior`` (p, p) of the fit, in units of the priors' spreads.
     """
-    found, left, kept = theta.copy(), posterior.copy(), list[int]()
+    found, left, fixed = theta.copy(), posterior.copy(), list[int]()
     while True:
         spread = np.sqrt(np.maximum(np.diag(left), 0.0))
-        open_ = [k for k in machine if k not in kept]
+        open_ = [k for k in machine if k not in fixed]
         worst = max(open_, key=lambda k: spread[k], default=-1)
         if worst < 0 or spread[worst] < IDENTIFIED_BELOW:
             break
         along = left[:, worst] / left[worst, worst]
         found -= along * found[worst]
         left -= np.outer(along, left[worst])
-        kept.append(worst)
-        found[kept] = 0.0
-    if not kept:
-        return FileKept((), found, left)
-    slopes = np.linalg.solve(posterior[np.ix_(kept, kept)], posterior[kept]).T  # (p, kept) of the means
-    left[kept] = 0.0
-    left[:, kept] = 0.0
-    return FileKept(tuple(kept), found, left + slopes @ slopes.T)
+        fixed.append(worst)
+        found[fixed] = 0.0
+    if not fixed:
+        return FixedParameters((), found, left)
+    slopes = np.linalg.solve(posterior[np.ix_(fixed, fixed)], posterior[fixed]).T  # (p, kept) of the means
+    left[fixed] = 0.0
+    left[:, fixed] = 0.0
+    return FixedParameters(tuple(fixed), found, left + slopes @ slopes.T)
 
 
 def _inverse(information: Array) -> Array:
@@ -233,10 +233,10 @@ def reported(problem: FitProblem, fit: Fit) -> Fit:
     excess = max(fit.data / (fit.samples - len(s)), 1.0)
     posterior = _inverse(columns.T @ columns / excess)
     machine = [k for k, p in enumerate(problem.parameters) if not p.of_start]
-    told = keep_untold(fit.theta / s, posterior, machine)
-    covariance = told.covariance * np.outer(s, s)
-    if not told.kept:
+    identified = fix_unidentified(fit.theta / s, posterior, machine)
+    covariance = identified.covariance * np.outer(s, s)
+    if not identified.fixed:
         return fit._replace(covariance=covariance)
-    plan = Plan(0.0, 1, 0, (0.0, 0.1), 1e-6, frozenset(told.kept))
-    moved = refined(problem, fit, told.theta * s, plan)
-    return moved._replace(covariance=covariance, kept=told.kept, promised=fit.promised)
+    plan = Plan(0.0, 1, 0, (0.0, 0.1), 1e-6, frozenset(identified.fixed))
+    moved = refined(problem, fit, identified.theta * s, plan)
+    return moved._replace(covariance=covariance, fixed=identified.fixed, promised=fit.promised)

@@ -101,23 +101,26 @@ def predicted(
     config: PlantConfig,
     recording: MotionRecording,
     start: Start,
-    told: Smoothed | None = None,
+    smoothed: Smoothed | None = None,
     window_s: float = 0.0,
 ) -> Array:
     """The signals (n, N_SIGNALS) of the plant ``config`` under the recording's valve words, without noise.
 
-    From ``start`` on in one run; with ``told``, a new window begins at the measured state every ``window_s``.
+    From ``start`` on in one run; with ``smoothed``, a new window begins at the measured state every
+    ``window_s``.
     Raises ConfigurationError where the plant cannot stand at the start.
     """
     offsets = np.asarray(config.errors.encoder_offsets.mrad) * 1e-3
     drive = drive_of(config)
     plant, n = _plant_at(config, start, offsets), len(recording.time_s)
-    if told is None:
+    if smoothed is None:
         none = np.empty((0, N_ACTUATORS))
         restarts = Restarts(0, offsets, none, none, np.empty((0, N_ACTUATORS, 2)), np.empty(0))
     else:
         every = max(round(window_s / recording.period_s), 1)
-        restarts = Restarts(every, offsets, told.angles, told.rates, told.pressures, told.supply)
+        restarts = Restarts(
+            every, offsets, smoothed.angles, smoothed.rates, smoothed.pressures, smoothed.supply
+        )
     words, signals = drive.along(recording), np.zeros((n, N_SIGNALS))
     h = 1e-3 * config.step_ms
     run(plant.state, plant.shafts, words, restarts, h, plant.model, new_work(plant.model), signals)

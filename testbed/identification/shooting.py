@@ -32,7 +32,7 @@ class FitProblem(NamedTuple):
     parameters: tuple[Parameter, ...]
     recording: MotionRecording
     start: Start
-    told: Smoothed
+    smoothed: Smoothed
     used: tuple[int, ...]
     std: Array
 
@@ -63,12 +63,12 @@ def signals(problem: FitProblem, window_s: float, theta: Array) -> Array | None:
     try:
         config = plant_of(problem, theta)
         start = moved_start(problem.start, problem.parameters, theta)
-        told = problem.told if window_s > 0.0 else None
-        found = predicted(config, problem.recording, start, told, window_s)
+        smoothed = problem.smoothed if window_s > 0.0 else None
+        found = predicted(config, problem.recording, start, smoothed, window_s)
     except (ConfigurationError, ValueError):
         return None
-    told_well = found[:, list(problem.used)] / problem.std
-    return told_well if bool(np.isfinite(told_well).all()) else None
+    well_known = found[:, list(problem.used)] / problem.std
+    return well_known if bool(np.isfinite(well_known).all()) else None
 
 
 def residuals(problem: FitProblem, found: Array) -> Array:
@@ -136,7 +136,7 @@ class Fit(NamedTuple):
     """Where the fit ended: ``theta`` (p,) and ``covariance`` (p, p), in the parameters' own kinds.
 
     ``cost`` is χ² of data and prior, ``data`` that of the data alone, ``samples`` the numbers compared.
-    ``runs`` of the plant it took. ``residuals`` (n, k) over their noise. ``kept`` parameters, which the
+    ``runs`` of the plant it took. ``residuals`` (n, k) over their noise. ``fixed`` parameters, which the
     recording does not tell, are at the file's number (``keeping``). ``promised`` is by how much χ² would
     still fall, as the last slopes tell: the square of the way to its minimum, in σ. Near 0 where a fit has
     come to rest; where it has not, the covariance is not that of ``theta``.
@@ -150,7 +150,7 @@ class Fit(NamedTuple):
     runs: int
     residuals: Array
     jacobian: Array
-    kept: tuple[int, ...] = ()
+    fixed: tuple[int, ...] = ()
     promised: float = float("nan")
 
 
@@ -277,11 +277,11 @@ def _move(
     """Where ``columns`` lead (p,) from ``now`` within the limits, and by how much χ² is to fall."""
     assert now.found is not None  # it has a cost
     s, left = problem.spreads[free], residuals(problem, now.found).ravel()
-    told = columns[:, free]
-    downhill = (told.T @ left) * s - now.theta[free] / s
+    sensitivity = columns[:, free]
+    downhill = (sensitivity.T @ left) * s - now.theta[free] / s
     low, high = ((limit[free] - now.theta[free]) / s for limit in problem.limits)
     move = np.zeros(len(now.theta))
-    move[free] = s * bounded_move(information_of_step(told, s, damping), downhill, low, high)
+    move[free] = s * bounded_move(information_of_step(sensitivity, s, damping), downhill, low, high)
     there = float(np.sum((left - columns @ move) ** 2) + np.sum(((now.theta + move) / problem.spreads) ** 2))
     return move, now.cost - there
 

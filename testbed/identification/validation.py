@@ -54,14 +54,14 @@ def validate(found: Identified, whole: MotionRecording) -> list[SignalFit]:
     """Each fitted signal of ``whole``, the recording with its held-out part, predicted in one run."""
     problem = found.problem
     late = whole.time_s >= whole.about.held_out_from_s
-    told = measured(whole)[late]
+    held_out = measured(whole)[late]
     with_fit = _run(problem, found.whole.theta, whole)[late]
     with_file = _run(problem, np.zeros(len(found.whole.theta)), whole)[late]
     return [
         SignalFit(
             signal_name(index),
-            _fit(told[:, index], with_fit[:, index]),
-            _fit(told[:, index], with_file[:, index]),
+            _fit(held_out[:, index], with_fit[:, index]),
+            _fit(held_out[:, index], with_file[:, index]),
             float(np.sqrt(np.mean(found.whole.residuals[:, k] ** 2))),
             whiteness(found.whole.residuals[:, k]),
         )
@@ -74,9 +74,9 @@ def _run(problem: FitProblem, theta: Array, whole: MotionRecording) -> Array:
     return predicted(plant_of(problem, theta), whole, start)
 
 
-def _fit(told: Array, found: Array) -> float:
-    size = float(np.linalg.norm(told - told.mean()))
-    return 1.0 - float(np.linalg.norm(told - found)) / size if size > 0.0 else float("nan")
+def _fit(held_out: Array, found: Array) -> float:
+    size = float(np.linalg.norm(held_out - held_out.mean()))
+    return 1.0 - float(np.linalg.norm(held_out - found)) / size if size > 0.0 else float("nan")
 
 
 def whiteness(residual: Array) -> float:

@@ -20,13 +20,13 @@ _QUIET_SQUARES = 0.2  # [D] white around a board, in squares; detectors ask for 
 
 class TargetShape(NamedTuple):
     """``cells`` (n, 4) mm: x, y, width, height of black rectangles; ``size_mm`` (width, height) of the whole
-    target, ``quiet_mm`` the white that it needs around; ``told`` says what it is.
+    target, ``quiet_mm`` the white that it needs around; ``description`` says what it is.
     """
 
     cells: Array
     size_mm: tuple[float, float]
     quiet_mm: float
-    told: str
+    description: str
 
 
 def marker_shape(dictionary: str, number: int, side_mm: float) -> TargetShape:
@@ -54,30 +54,32 @@ def board_shape(board: Checkerboard | Charuco, dictionary: str = "") -> TargetSh
     side = 1e3 * board.square_m
     if isinstance(board, Checkerboard):
         columns, rows = board.columns + 1, board.rows + 1
-        told = f"checkerboard of {board.columns}x{board.rows} inner corners, squares of {side:g} mm"
+        description = f"checkerboard of {board.columns}x{board.rows} inner corners, squares of {side:g} mm"
         return TargetShape(
-            _squares(columns, rows, side), (columns * side, rows * side), _QUIET_SQUARES * side, told
+            _squares(columns, rows, side), (columns * side, rows * side), _QUIET_SQUARES * side, description
         )
     family = cv2.aruco.getPredefinedDictionary(board.dictionary)
-    wanted, count = board.columns * board.rows // 2, len(family.bytesList)
+    needed_markers, count = board.columns * board.rows // 2, len(family.bytesList)
     marker_mm = 1e3 * board.marker_m
     if not 0.0 < marker_mm < side:
         raise RequestRefused(
             "refused.target.board", f"markers of {marker_mm:g} mm do not fit into squares of {side:g}"
         )
-    if wanted > count:
-        raise RequestRefused("refused.target.board", f"{wanted} markers are needed, {dictionary} has {count}")
+    if needed_markers > count:
+        raise RequestRefused(
+            "refused.target.board", f"{needed_markers} markers are needed, {dictionary} has {count}"
+        )
     drawn = charuco_board(board)
     cells = [_squares(board.columns, board.rows, side)]
     for number, corners in zip(np.asarray(drawn.getIds()).ravel(), drawn.getObjPoints(), strict=True):
         corner = 1e3 * np.asarray(corners, dtype=np.float64).reshape(4, 3)[0, :2]
         cells.append(_marker_cells(family, int(number), marker_mm) + np.array([*corner, 0.0, 0.0]))
-    told = (
+    description = (
         f"ChArUco board of {board.columns}x{board.rows} squares of {side:g} mm, "
         f"{dictionary} markers of {marker_mm:g} mm"
     )
     size = (board.columns * side, board.rows * side)
-    return TargetShape(np.concatenate(cells), size, _QUIET_SQUARES * side, told)
+    return TargetShape(np.concatenate(cells), size, _QUIET_SQUARES * side, description)
 
 
 def dictionary_number(name: str) -> int:
@@ -143,8 +145,8 @@ def placed(shape: TargetShape, paper: str, size_mm: float) -> Page:
     largest = np.floor(10.0 * size_mm * max(scales)) / 10.0
     raise RequestRefused(
         "refused.target.does_not_fit",
-        f"{shape.told}: {needed[0]:.1f} x {needed[1]:.1f} mm with the white around; with its rulers {paper} "
-        f"has room for --size-mm {largest:g} at most",
+        f"{shape.description}: {needed[0]:.1f} x {needed[1]:.1f} mm with the white around; with its rulers "
+        f"{paper} has room for --size-mm {largest:g} at most",
     )
 
 
@@ -155,15 +157,17 @@ def run_target(shape: TargetShape, paper: str, size_mm: float, to: Path, json_fi
     page = placed(shape, paper, size_mm)
     _draw(shape, page, to)
     width, height = page.size_mm
-    out.print(f"{to}: {shape.told}, on {paper} ({width:g} x {height:g} mm)", highlight=False, soft_wrap=True)
+    out.print(
+        f"{to}: {shape.description}, on {paper} ({width:g} x {height:g} mm)", highlight=False, soft_wrap=True
+    )
     out.print(
         f"print it at 100 % (not 'fit to page'); both rulers must measure {_RULER_MM} mm, else give the "
         "measured size to what reads the pictures",
         highlight=False,
         soft_wrap=True,
     )
-    write_json(json_file, page._asdict() | {"told": shape.told, "target_mm": shape.size_mm, "paper": paper,
-                                            "cells_mm": len(shape.cells)})  # fmt: skip
+    written = {"description": shape.description, "target_mm": shape.size_mm, "paper": paper}
+    write_json(json_file, page._asdict() | written | {"cells_mm": len(shape.cells)})
 
 
 def _draw(shape: TargetShape, page: Page, to: Path) -> None:
@@ -177,7 +181,7 @@ def _draw(shape: TargetShape, page: Page, to: Path) -> None:
     _fill(axes, _ruler(_MARGIN_MM + _LEFT_MM, height - _MARGIN_MM - 8.0))
     _fill(axes, _ruler(_MARGIN_MM, _MARGIN_MM)[:, [1, 0, 3, 2]])
     axes.text(
-        _MARGIN_MM + _LEFT_MM, height - _MARGIN_MM, f"{shape.told}. Print at 100 %: both rulers are "
+        _MARGIN_MM + _LEFT_MM, height - _MARGIN_MM, f"{shape.description}. Print at 100 %: both rulers are "
         f"{_RULER_MM} mm.", fontsize=7, va="bottom",
     )  # fmt: skip
     figure.savefig(to, format="pdf", metadata={"CreationDate": None})

@@ -4,6 +4,7 @@ import asyncio
 import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import TracebackType
 from typing import ClassVar, Self
@@ -38,7 +39,7 @@ class ShiftedClock:
         self._shift_ns += round(max(seconds - _SETTLES_S, 0.0) * 1e9)
 
 
-class Threaded:
+class Threaded(ABC):
     """Serves on ``port`` in a thread of its own until it is left."""
 
     def __init__(self) -> None:
@@ -55,9 +56,9 @@ class Threaded:
             self.port = bound.getsockname()[1]
             await self.serve(bound, self._stop)
 
+    @abstractmethod
     async def serve(self, bound: socket.socket, stop: asyncio.Event) -> None:
         """Listen, call ``ready``, and return when ``stop`` is set."""
-        raise NotImplementedError
 
     def ready(self) -> None:
         """Clients may come."""

@@ -22,7 +22,7 @@ from conformance.coupler import frames
 from conformance.runner import coupler_cases, reference_cases, run_coupler, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.coupler.page_coupler import PageServer
+from tests.conformance.coupler.page_server import PageServer
 from tests.conformance.coupler.systematic import MUTANTS as COUPLERS
 from tests.conformance.coupler.systematic import BrokenCoupler
 from tests.conformance.couplers import ShiftedClock
@@ -66,8 +66,8 @@ def asked(key: LinkKey | None, clause: str, first: int = 0) -> list[ConformanceC
     Those that move come last. The slow ones are asked about their own clause only.
     """
     others = FOR_NO_KEY if key else FOR_A_KEY
-    wanted = [case for case in reference_cases() if case.number not in others]
-    cases = [case for case in wanted if case.number not in SLOW or clause == case.clause]
+    expected = [case for case in reference_cases() if case.number not in others]
+    cases = [case for case in expected if case.number not in SLOW or clause == case.clause]
     return sorted(
         cases, key=lambda case: (case.number != first, case.clause != clause, case.motion, case.number)
     )
@@ -230,14 +230,14 @@ def main() -> int:
     parser.add_argument("--part", default="1/1", help="every third, from the first, with 1/3")
     options = parser.parse_args()
     part, parts = (int(number) for number in options.part.split("/"))
-    wanted = [
+    expected = [
         broken
         for broken in (COUPLERS if options.coupler else broken_controllers(options.source or SOURCES))
         if not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
         if options.name in broken.name
     ]
     with shifted_clock() as clock:
-        lines, wrong = report(_judged(broken, clock, options.every) for broken in wanted[part - 1 :: parts])
+        lines, wrong = report(_judged(broken, clock, options.every) for broken in expected[part - 1 :: parts])
     print("\n".join(lines))
     return 1 if wrong else 0
 

@@ -14,7 +14,7 @@ from conformance.case import CaseOutcome
 from conformance.coupler import UNASKED
 from conformance.runner import coupler_cases, reference_cases, run_coupler
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.coupler.page_coupler import PageServer
+from tests.conformance.coupler.page_server import PageServer
 from tests.conformance.coupler.rules import Rules
 from tests.conformance.coupler.systematic import MUTANTS as COUPLERS
 from tests.conformance.couplers import ShiftedClock

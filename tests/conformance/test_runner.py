@@ -24,7 +24,7 @@ from protocol.reference_messages import Acknowledgement
 from protocol.server_session import ReferenceServer
 from testbed.cli.main import app
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.coupler.page_coupler import PageServer
+from tests.conformance.coupler.page_server import PageServer
 from tests.conformance.coupler.rules import Rules
 from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
 
@@ -304,9 +304,9 @@ def test_what_is_not_claimed_is_not_asked() -> None:
 def test_a_profile_is_a_file_or_names_and_says_what_is_wrong(tmp_path: Path) -> None:
     file = tmp_path / "plc.yaml"
     file.write_text("claims: [paths, authentication]\n")
-    wanted = {OptionalPart.PATHS, OptionalPart.AUTHENTICATION, OptionalPart.KEY_REFUSAL}
-    assert profile_from(str(file)) == Profile(str(file), frozenset(wanted))
-    assert profile_from("paths, authentication").claims == wanted
+    expected = {OptionalPart.PATHS, OptionalPart.AUTHENTICATION, OptionalPart.KEY_REFUSAL}
+    assert profile_from(str(file)) == Profile(str(file), frozenset(expected))
+    assert profile_from("paths, authentication").claims == expected
     assert profile_from("base").claims == frozenset()
     with pytest.raises(ConfigurationError, match="no such part; there are paths") as unknown:
         profile_from("paths,wings")

@@ -12,9 +12,9 @@ def test_the_script_is_the_one_of_the_tables() -> None:
 
 def test_every_field_of_every_kind_is_shown_once() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
-    wanted = {field.name for field in HEADER} | {f"trailer.{field.name}" for field in TRAILER}
+    expected = {field.name for field in HEADER} | {f"trailer.{field.name}" for field in TRAILER}
     for kind, fields in PAYLOADS.items():
-        wanted |= {f"{kind.name.lower()}.{field.name}" for field in fields if field.code != "x"}
+        expected |= {f"{kind.name.lower()}.{field.name}" for field in fields if field.code != "x"}
     defined = re.findall(r'^f\["([^"]+)"\] = ', text, re.MULTILINE)
-    assert sorted(defined) == sorted(wanted)
-    assert sorted(re.findall(r'^  \{ f\["([^"]+)"\], ', text, re.MULTILINE)) == sorted(wanted)
+    assert sorted(defined) == sorted(expected)
+    assert sorted(re.findall(r'^  \{ f\["([^"]+)"\], ', text, re.MULTILINE)) == sorted(expected)

@@ -89,17 +89,17 @@ class Group(RuleBasedStateMachine):
     def command(self, code: CommandCode) -> None:
         self.certain()
         before = self.oracle.doing
-        wanted = self.oracle.command(code, plant=not self.bench.silent, link=self.bench.link_alive)
-        assert self.bench.command(code) is wanted
+        expected = self.oracle.command(code, plant=not self.bench.silent, link=self.bench.link_alive)
+        assert self.bench.command(code) is expected
         self.age += 1
         self.following(before)
 
     @rule(z=st.floats(-0.01, 0.01))
     def refer(self, z: float) -> None:
         self.certain()
-        wanted = self.oracle.reference(link=self.bench.link_alive)
-        assert self.bench.refer(self.bench.shifted(z=z), _MOTION_S).reason is wanted
-        self.age = 0 if self.oracle.doing is Doing.MOVING and wanted == 0 else self.age + 1
+        expected = self.oracle.reference(link=self.bench.link_alive)
+        assert self.bench.refer(self.bench.shifted(z=z), _MOTION_S).reason is expected
+        self.age = 0 if self.oracle.doing is Doing.MOVING and expected == 0 else self.age + 1
 
     @rule(scans=st.integers(1, 12))
     def wait(self, scans: int) -> None:

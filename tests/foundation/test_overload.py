@@ -39,7 +39,7 @@ def test_it_is_over_when_five_seconds_were_good() -> None:
     watch.update(0, {"scans": Tally(0, 0)})
     assert watch.update(S, {"scans": Tally(150, 50)})
     assert watch.update(5 * S, {"scans": Tally(950, 50)})
-    assert watch.update(6 * S, {"scans": Tally(1150, 50)}) == "" == watch.told
+    assert watch.update(6 * S, {"scans": Tally(1150, 50)}) == "" == watch.warning
 
 
 def test_counts_that_begin_anew_and_few_say_nothing() -> None:

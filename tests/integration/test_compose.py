@@ -82,9 +82,9 @@ def test_each_service_is_watched_and_waits_for_those_it_needs() -> None:
     assert all(service["healthcheck"]["test"][0] == "CMD" for service in services.values())
     assert services["plant"].pop("depends_on") == {"tokens": {"condition": "service_completed_successfully"}}
     assert set(services["controller"]["depends_on"]) == {"plant"}
-    wanted = services["vision"]["depends_on"]
-    assert wanted.pop("tokens") == {"condition": "service_completed_successfully"}
-    assert set(wanted) == {"plant", "controller"}
+    expected = services["vision"]["depends_on"]
+    assert expected.pop("tokens") == {"condition": "service_completed_successfully"}
+    assert set(expected) == {"plant", "controller"}
     conditions = [need for service in services.values() for need in service.get("depends_on", {}).values()]
     assert conditions == [{"condition": "service_healthy"}] * 3
 

@@ -27,13 +27,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_truth_comes_back_bit_by_bit(run: Path) -> None:
     (file,) = run.rglob("truth.mcap")
-    told, wanted = longreach.read(file), read_truth(file)
+    told, expected = longreach.read(file), read_truth(file)
     truth = told["/plant/truth"]
     assert told.complete
     assert not told.damages
     assert truth["X_WT"].shape == (len(truth.log_ns), 4, 4)
     assert truth["q_lift_rad"].shape == truth.log_ns.shape
-    at = {record.truth.time_ns: record.truth for record in wanted.truths}
+    at = {record.truth.time_ns: record.truth for record in expected.truths}
     for time_ns, X_WT, q in zip(truth["time_ns"], truth["X_WT"], truth["q_lift_rad"], strict=True):
         np.testing.assert_array_equal(X_WT, at[time_ns].X_WT)
         assert q == at[time_ns].q[1]

@@ -326,9 +326,9 @@ class Parser:
             if self._peek() == ",":
                 self._take()
         self._take(")")
-        wanted = {n for n, (section, _) in kinds.items() if section != "VAR"}
-        if set(given) != wanted:
-            raise StructuredTextError(f"{name}: given {sorted(given)}, wanted {sorted(wanted)}")
+        expected = {n for n, (section, _) in kinds.items() if section != "VAR"}
+        if set(given) != expected:
+            raise StructuredTextError(f"{name}: given {sorted(given)}, wanted {sorted(expected)}")
         arguments = ", ".join(f"{n}={code}" for n, code in given.items())
         return f"F[{name!r}]({arguments})", function.result
 

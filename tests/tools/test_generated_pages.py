@@ -69,8 +69,8 @@ def test_a_later_valve_makes_a_later_joint_by_as_much() -> None:
 @pytest.mark.parametrize("made", FILES, ids=lambda made: made.name)
 def test_a_file_is_what_its_page_says(made: Made) -> None:
     told = (made.folder / "THIRD_PARTY.md").read_text(encoding="utf-8")
-    wanted = rf"^\| {re.escape(made.name)} \| (\S+) (\S+) \| (\S+) \| ([0-9a-f]{{64}}) \|$"
-    row = re.search(wanted, told, re.MULTILINE)
+    expected = rf"^\| {re.escape(made.name)} \| (\S+) (\S+) \| (\S+) \| ([0-9a-f]{{64}}) \|$"
+    row = re.search(expected, told, re.MULTILINE)
     assert row is not None
     package = PACKAGES[made.package]
     assert row.groups()[:3] == (package.name, package.version, package.licence)

@@ -81,8 +81,8 @@ def test_covariance_of_the_inverse_is_what_sampling_gives() -> None:
     root = generator.standard_normal((6, 6)) * 1e-4
     samples = [se3.retract(X, root @ generator.standard_normal(6)) for _ in range(20_000)]
     deltas = np.array([se3.local(se3.inverse(X), se3.inverse(Y)) for Y in samples])
-    wanted = se3.inverse_covariance(X, root @ root.T)
-    assert np.linalg.norm(np.cov(deltas.T) - wanted) < 0.05 * np.linalg.norm(wanted)
+    expected = se3.inverse_covariance(X, root @ root.T)
+    assert np.linalg.norm(np.cov(deltas.T) - expected) < 0.05 * np.linalg.norm(expected)
 
 
 @given(st.tuples(*[st.floats(-1.4, 1.4)] * 3))

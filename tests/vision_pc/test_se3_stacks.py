@@ -45,12 +45,12 @@ def test_nothing_jumps_where_a_limit_changes_the_formula(form: str, limit: float
     axis = np.array([0.36, -0.48, 0.8])
     for angle in limit + min(limit, math.pi - limit) * np.array([-1e-1, -1e-6, 0.0, 1e-6, 1e-1]):
         w = angle * axis
-        wanted = Rotation.from_rotvec(w).as_matrix()
+        expected = Rotation.from_rotvec(w).as_matrix()
         if form == "single":
-            R, back = se3.exp_so3(w), se3.log_so3(wanted)
+            R, back = se3.exp_so3(w), se3.log_so3(expected)
         else:
-            R, back = stacks.exp_so3(w[None])[0], stacks.log_so3(wanted[None])[0]
-        np.testing.assert_allclose(R, wanted, rtol=0, atol=2e-15)
+            R, back = stacks.exp_so3(w[None])[0], stacks.log_so3(expected[None])[0]
+        np.testing.assert_allclose(R, expected, rtol=0, atol=2e-15)
         np.testing.assert_allclose(back, w, rtol=0, atol=1e-11)
 
 

@@ -268,15 +268,15 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
 
 def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Array, step: float) -> Excitation:
     sense, turned = sense_of(state, stroke), turned_by(state, stroke, q)
-    speed, wanted = sense * float(state.speed[stroke.joint]), _stroke_travel(limits, state, stroke)
-    if speed >= stroke.speed or turned >= _UP_SHARE * wanted:
+    speed, travel = sense * float(state.speed[stroke.joint]), _stroke_travel(limits, state, stroke)
+    if speed >= stroke.speed or turned >= _UP_SHARE * travel:
         state = with_rim(state, stroke, speed)
         back = sense * float(state.slack[stroke.joint])
         top = abs(state.spool)
         return state._replace(
             phase=Phase.TURNING, phase_s=0.0, top_speed=speed, top=top, spool=state.spool - back
         )
-    moves = speed > _LOW * stroke.speed or turned > _LOW * _LOW * wanted
+    moves = speed > _LOW * stroke.speed or turned > _LOW * _LOW * travel
     if state.low_speed == 0.0 and turned > limits.moved and moves:
         state = state._replace(low_speed=speed, low=abs(state.spool))
     return state._replace(spool=state.spool + step)

@@ -40,10 +40,10 @@ def admit(
     """
     poses: tuple[Pose, ...]
     if isinstance(request, ReferencePose):
-        poses, wanted, dwell = (request.X_BT_ref,), request.duration_s, 0.0
+        poses, duration, dwell = (request.X_BT_ref,), request.duration_s, 0.0
     else:
-        poses, wanted, dwell = request.waypoints, request.segment_s, request.dwell_s
-    refusal = _form(settings, poses, wanted, dwell)
+        poses, duration, dwell = request.waypoints, request.segment_s, request.dwell_s
+    refusal = _form(settings, poses, duration, dwell)
     if refusal is not None:
         return refusal
     p = np.array([pose.p_m for pose in poses])
@@ -53,8 +53,8 @@ def admit(
     furthest = settings.motion.first_point_distance
     if distance > furthest:
         return Refusal(Reason.TOO_FAR, distance, furthest)
-    if wanted > 0.0:
-        durations = np.full(len(poses), wanted)
+    if duration > 0.0:
+        durations = np.full(len(poses), duration)
         found = _path_with_durations(settings, path_from(start, p, quaternions, durations, dwell), q_start)
     else:
         found = _shortest(settings, start, q_start, p, quaternions, dwell)
@@ -73,7 +73,7 @@ def unusable(pose: Pose, index: int = 0, count: int = 1) -> Refusal | None:
     return None
 
 
-def _form(settings: ScanSettings, poses: tuple[Pose, ...], wanted: float, dwell: float) -> Refusal | None:
+def _form(settings: ScanSettings, poses: tuple[Pose, ...], duration: float, dwell: float) -> Refusal | None:
     """A refusal of what no arm could do: not finite, not a rotation, too many, no such duration."""
     if not poses:
         return Refusal(Reason.EMPTY_PATH, 0.0, 1.0)
@@ -83,12 +83,12 @@ def _form(settings: ScanSettings, poses: tuple[Pose, ...], wanted: float, dwell:
         refusal = unusable(pose, index, len(poses))
         if refusal is not None:
             return refusal
-    if not (is_usable(wanted) and is_usable(dwell)):
+    if not (is_usable(duration) and is_usable(dwell)):
         return Refusal(Reason.NOT_FINITE, 0.0, 0.0)
     motion = settings.motion
-    if wanted != 0.0 and wanted < motion.duration_min:
-        return Refusal(Reason.BAD_DURATION, wanted, motion.duration_min)
-    for seconds in (wanted, dwell):
+    if duration != 0.0 and duration < motion.duration_min:
+        return Refusal(Reason.BAD_DURATION, duration, motion.duration_min)
+    for seconds in (duration, dwell):
         if seconds > motion.duration_max:
             return Refusal(Reason.BAD_DURATION, seconds, motion.duration_max)
     return Refusal(Reason.BAD_DURATION, dwell, 0.0) if dwell < 0.0 else None

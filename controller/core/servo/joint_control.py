@@ -29,20 +29,20 @@ def opening_for(curve: Array, flow: float) -> float:
 
 
 @kernel
-def without_play(wanted: float, half: float, sense: float, furthest: float) -> tuple[float, float, float]:
-    """The command that brings a spool with ``half`` a hysteresis to ``wanted``, and what to remember of it.
+def without_play(target: float, half: float, sense: float, furthest: float) -> tuple[float, float, float]:
+    """The command that brings a spool with ``half`` a hysteresis to ``target``, and what to remember of it.
 
     ``sense``, ``furthest``: which way the command went before (±1), and how far. The inverse of the play
-    operator leads by half its width; it turns over when ``wanted`` has come back by a tenth of the width, so
+    operator leads by half its width; it turns over when ``target`` has come back by a tenth of the width, so
     that noise does not throw the spool to and fro.
     """
     if half <= 0.0:
-        return wanted, sense, furthest
-    if sense * (wanted - furthest) >= 0.0:
-        furthest = wanted
-    elif sense * (furthest - wanted) > 2.0 * _TURN * half:
-        sense, furthest = -sense, wanted
-    return wanted + sense * half, sense, furthest
+        return target, sense, furthest
+    if sense * (target - furthest) >= 0.0:
+        furthest = target
+    elif sense * (furthest - target) > 2.0 * _TURN * half:
+        sense, furthest = -sense, target
+    return target + sense * half, sense, furthest
 
 
 @kernel
@@ -180,9 +180,9 @@ def valve_commands(
         side = 0 if demand >= 0.0 else 1
         flow = demand / (gains.flow_gain[i, side] * speeds[i, side])
         opening = math.copysign(opening_for(gains.curve[i, side], abs(flow)), flow)
-        wanted = opening + gains.deadband[i, side] * max(-1.0, min(1.0, opening / gains.blend[i, side]))
+        target = opening + gains.deadband[i, side] * max(-1.0, min(1.0, opening / gains.blend[i, side]))
         spool, sense[i], furthest[i] = without_play(
-            wanted, gains.half_play[i], filters.sense[i], filters.furthest[i]
+            target, gains.half_play[i], filters.sense[i], filters.furthest[i]
         )
         commands[i] = max(-gains.limit, min(gains.limit, spool))
     return commands, JointFilters(pt1, slow, sense, furthest, pilot)

@@ -76,16 +76,16 @@ def approach(
     a twist beyond ``twist_limit`` or limits that are not positive can cause. The same arguments give the same
     bits.
     """
-    wanted = InputParameter(AXES)
-    wanted.current_position, wanted.current_velocity, wanted.current_acceleration = _seen_from_reference(
+    request = InputParameter(AXES)
+    request.current_position, request.current_velocity, request.current_acceleration = _seen_from_reference(
         start, p, quaternion, twist
     )
-    wanted.target_position = [0.0] * AXES
-    wanted.max_velocity = (limits.speed - twist).tolist()
-    wanted.min_velocity = (-limits.speed - twist).tolist()
-    wanted.max_acceleration = limits.acceleration.tolist()
-    wanted.max_jerk = limits.jerk.tolist()
-    trajectory = _planned(wanted)
+    request.target_position = [0.0] * AXES
+    request.max_velocity = (limits.speed - twist).tolist()
+    request.min_velocity = (-limits.speed - twist).tolist()
+    request.max_acceleration = limits.acceleration.tolist()
+    request.max_jerk = limits.jerk.tolist()
+    trajectory = _planned(request)
     if trajectory is None:
         return None
     duration_s = math.inf if np.any(twist) else trajectory.duration
@@ -137,18 +137,18 @@ def _seen_from_base(
         out[5, k] = alpha[k] + aside[k]
 
 
-def _planned(wanted: InputParameter) -> Trajectory | None:
-    """The trajectory that ``wanted`` asks for, axes in step where Ruckig can; None when there is none.
+def _planned(request: InputParameter) -> Trajectory | None:
+    """The trajectory that ``request`` asks for, axes in step where Ruckig can; None when there is none.
 
     With some tens of nanometres left, Ruckig's sum of times may be off by more than the way takes, and axes
     that were to arrive together have no solution (its issue 160). Each by itself has one, inside the same
     limits, and so short a way need not be straight.
     """
     for synchronization in (Synchronization.Phase, Synchronization.No):
-        wanted.synchronization = synchronization
+        request.synchronization = synchronization
         trajectory = Trajectory(AXES)
         try:
-            if Ruckig(AXES).calculate(wanted, trajectory) is Result.Working:
+            if Ruckig(AXES).calculate(request, trajectory) is Result.Working:
                 return trajectory
         except RuckigError:
             continue

@@ -18,6 +18,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
 
 ROTATION_DEG, TRANSLATION_MM = 0.01, 0.02
@@ -80,6 +81,16 @@ class _SweepCounts:
     failed: int = 0
     dropped: int = 0
 
+    def enter(self, result: HandEyeResult, truth: Array) -> None:
+        """Count one result beside the true X (4, 4)."""
+        error = se3.local(result.X, truth)
+        self.errors.append(error)
+        if result.certificate is not None:
+            self.eigenvalues.append(result.certificate.least_eigenvalue)
+        if result.covariance is not None:
+            self.nees.append(float(error @ np.linalg.solve(result.covariance, error)))
+            self.dropped += int((~result.inliers).sum())
+
     def row(self, noise_on: NoiseOn, level: int, method: str, bound: scenes.Bound) -> SweepRow:
         E = np.array(self.errors).reshape(-1, 6)
         rms = (
@@ -118,10 +129,7 @@ def noise_sweep(
         counts: dict[Method, _SweepCounts] = {}
         for run in range(runs):
             rng = np.random.default_rng([seed, level, run])
-            if noise_on is NoiseOn.CAMERA_MOTIONS:
-                _run_on_motions(scene, n, rng, chosen, counts)
-            else:
-                _run(scene, n, rng, chosen, counts)
+            _enter_run(scene, n, rng, chosen, counts, noise_on is NoiseOn.CAMERA_MOTIONS)
         rows += [count.row(noise_on, level, method.value, bound) for method, count in counts.items()]
     return rows
 
@@ -131,45 +139,25 @@ def level_of(task: dict[str, Any]) -> dict[str, Any]:
     return {"rows": noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"])}
 
 
-def _run(
+def _enter_run(
     scene: HandEyeScene,
     n: Any,
     rng: np.random.Generator,
     chosen: tuple[Method, ...],
     counts: dict[Method, _SweepCounts],
+    by_motions: bool,
 ) -> None:
-    """Enter all methods on one noisy data set into ``counts``."""
-    pairs = scenes.measured(scene, n, rng)
-    for method in chosen:
+    """Enter into ``counts`` what the methods make of one noisy data set: of its poses, or its motions."""
+    motions = scenes.measured_motions(scene, n, rng) if by_motions else None
+    pairs = None if by_motions else scenes.measured(scene, n, rng)
+    for method in MOTION_METHODS if by_motions else chosen:
+        if method not in chosen:
+            continue
         count = counts.setdefault(method, _SweepCounts())
         try:
-            result = methods.solve(pairs, method)
+            if motions is not None:
+                count.errors.append(se3.local(methods.solve_motions(motions, method), scene.X))
+            elif pairs is not None:
+                count.enter(methods.solve(pairs, method), scene.X)
         except MeasurementFailed:
             count.failed += 1
-            continue
-        error = se3.local(result.X, scene.X)
-        count.errors.append(error)
-        if result.certificate is not None:
-            count.eigenvalues.append(result.certificate.least_eigenvalue)
-        if result.covariance is not None:
-            count.nees.append(float(error @ np.linalg.solve(result.covariance, error)))
-            count.dropped += int((~result.inliers).sum())
-
-
-def _run_on_motions(
-    scene: HandEyeScene,
-    n: Any,
-    rng: np.random.Generator,
-    chosen: tuple[Method, ...],
-    counts: dict[Method, _SweepCounts],
-) -> None:
-    """The same of the methods that take motions, on noisy ones."""
-    motions = scenes.measured_motions(scene, n, rng)
-    for method in MOTION_METHODS:
-        if method in chosen:
-            count = counts.setdefault(method, _SweepCounts())
-            try:
-                X = methods.solve_motions(motions, method)
-                count.errors.append(se3.local(X, scene.X))
-            except MeasurementFailed:
-                count.failed += 1

@@ -135,7 +135,7 @@ def paper_verdict(done: Paper) -> list[Check]:
     rows, concluded, checks = by_kind(done), _conclusions(done), []
     for name, beside in _comparisons(done).items():
         for c in beside:
-            if c.wanted:
+            if c.judged:
                 what = f"{c.table.partition(':')[0]}, {c.part}, {c.name}: mean over the paper's"
                 checks.append(Check(what, f"{c.ratio:.2f}", f"{1.0 / FACTOR:g} to {FACTOR:g}", c.reached))
         checks += [Check(each.statement, each.here, "the same", each.holds) for each in concluded[name]]
@@ -205,7 +205,7 @@ def comparison_cells(beside: list[Compared]) -> list[list[str]]:
             *(f"{value:.1f}" for value in (made.mean, made.std, made.p5, made.p95)),
             str(made.runs),
             f"{made.ratio:.2f}",
-            ("within 2" if made.reached else "OUTSIDE 2") if made.wanted else "",
+            ("within 2" if made.reached else "OUTSIDE 2") if made.judged else "",
         ]
         for index, made in enumerate(beside)
     ]

@@ -115,7 +115,7 @@ TABLES = {
 class Compared(NamedTuple):
     """One figure of the paper beside ours, of ``runs`` measurements that got there.
 
-    ``ratio`` is ours over the paper's mean; ``wanted`` whether it is one of those that shall be within
+    ``ratio`` is ours over the paper's mean; ``judged`` whether it is one of those that shall be within
     ``FACTOR``. NaN where nothing was measured.
     """
 
@@ -129,7 +129,7 @@ class Compared(NamedTuple):
     p5: float
     p95: float
     ratio: float
-    wanted: bool
+    judged: bool
 
     @property
     def reached(self) -> bool:
@@ -152,22 +152,22 @@ def compared(name: str, rows: Sequence[Row]) -> list[Compared]:
     for part in table.parts:
         for paper, column in zip(part.published, part.ours, strict=True):
             ours = values(rows, column)
-            wanted = "z" not in paper.name and "greatest" not in part.title
-            made.append(_beside(table.title, part.title, paper, np.abs(ours), wanted))
+            judged = "z" not in paper.name and "greatest" not in part.title
+            made.append(_beside(table.title, part.title, paper, np.abs(ours), judged))
     return made
 
 
-def _beside(table: str, part: str, paper: Published, ours: Array, wanted: bool) -> Compared:
+def _beside(table: str, part: str, paper: Published, ours: Array, judged: bool) -> Compared:
     if not len(ours):
         nothing = float("nan")
         return Compared(
-            table, part, paper.name, paper, 0, nothing, nothing, nothing, nothing, nothing, wanted
+            table, part, paper.name, paper, 0, nothing, nothing, nothing, nothing, nothing, judged
         )
     spread = float(ours.std(ddof=1)) if len(ours) > 1 else 0.0
     p5, p95 = (float(p) for p in np.percentile(ours, (5.0, 95.0)))
     mean = float(ours.mean())
     ratio = mean / paper.mean
-    return Compared(table, part, paper.name, paper, len(ours), mean, spread, p5, p95, ratio, wanted)
+    return Compared(table, part, paper.name, paper, len(ours), mean, spread, p5, p95, ratio, judged)
 
 
 def values(rows: Sequence[Row], column: str) -> Array:

@@ -47,13 +47,13 @@ class AutoExposure:
         config = self._config
         if not config.enabled or capture_ns == self._time_ns:
             return self._gain
-        wanted = config.mean_grey / max(brightness * float(picture.mean()), 1.0)
-        wanted = min(max(wanted, config.least_gain), config.most_gain)
+        target_gain = config.mean_grey / max(brightness * float(picture.mean()), 1.0)
+        target_gain = min(max(target_gain, config.least_gain), config.most_gain)
         if self._time_ns is None or capture_ns < self._time_ns:
-            self._gain = wanted  # it has been running since long before
+            self._gain = target_gain  # it has been running since long before
         else:
             share = 1.0 - math.exp(-1e-9 * (capture_ns - self._time_ns) / config.time_constant_s)
-            self._gain *= (wanted / self._gain) ** share
+            self._gain *= (target_gain / self._gain) ** share
         self._time_ns = capture_ns
         return self._gain
 

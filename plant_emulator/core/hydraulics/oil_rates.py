@@ -76,7 +76,7 @@ def _held_open(p_a: float, p_b: float, c: Array) -> float:
 def _metered(i: int, state: Array, a: Array, c: Array, flows: Array) -> tuple[float, float]:
     """Flows (m³/s) through the open edges of valve ``i`` into chamber a and b; ``flows`` tells the draw."""
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
-    soft, kept, travel = c[col.C_REGULARISATION], c[col.C_COMPENSATOR], abs(state[SPOOL + i])
+    soft, set_pressure, travel = c[col.C_REGULARISATION], c[col.C_COMPENSATOR], abs(state[SPOOL + i])
     extends = state[SPOOL + i] >= 0.0
     way = 0 if extends else 1
     slope, edge = a[i, col.A_SLOPE + way], 2 * way
@@ -84,11 +84,11 @@ def _metered(i: int, state: Array, a: Array, c: Array, flows: Array) -> tuple[fl
     gain_out = a[i, col.A_GAIN + edge + 1] * opening(travel, a[i, col.A_DEADBAND + edge + 1], slope)
     gain_a, gain_b = (gain_in, gain_out) if extends else (gain_out, gain_in)
     drop_a, drop_b = (p_s - p_a, p_t - p_b) if extends else (p_t - p_a, p_s - p_b)
-    if kept > 0.0:
+    if set_pressure > 0.0:
         if extends:
-            drop_a = compensated_drop(drop_a, kept)
+            drop_a = compensated_drop(drop_a, set_pressure)
         else:
-            drop_b = compensated_drop(drop_b, kept)
+            drop_b = compensated_drop(drop_b, set_pressure)
     if drop_a < 0.0 and a[i, col.A_COUNTERBALANCE] > 0.0:
         opened = state[HOLDING + i] if c[col.C_HOLD_LAG] > 0.0 else _held_open(p_a, p_b, c)
         gain_a = held_gain(gain_a, a[i, col.A_COUNTERBALANCE] * opened)
@@ -204,10 +204,10 @@ def pump_flow(supply: float, load: float, circuit: Array) -> float:
     A load-sensing one keeps its margin above the reported ``load`` (Pa), at most its set pressure.
     """
     if circuit[col.C_RUNNING] > 0.0:
-        kept: float = circuit[col.C_SET]
+        set_pressure: float = circuit[col.C_SET]
         if circuit[col.C_LS_MARGIN] > 0.0:
-            kept = min(kept, load + circuit[col.C_LS_MARGIN])
-        wish: float = circuit[col.C_PUMP_GAIN] * (kept - supply)
+            set_pressure = min(set_pressure, load + circuit[col.C_LS_MARGIN])
+        wish: float = circuit[col.C_PUMP_GAIN] * (set_pressure - supply)
         delivered: float = min(max(wish, 0.0), circuit[col.C_FLOW_LIMIT])
         return delivered
     return -orifice_flow(circuit[col.C_DUMP], supply - circuit[col.C_RETURN], circuit[col.C_REGULARISATION])

@@ -36,16 +36,16 @@ def orifice_flow(gain: float, drop: float, regularisation: float) -> float:
 
 
 @allocation_free
-def compensated_drop(drop: float, kept: float) -> float:
+def compensated_drop(drop: float, compensated: float) -> float:
     """What is left (Pa) across a metering edge of ``drop`` (Pa) from pump to load, by its compensator.
 
-    The compensator, a valve in series before the edge, keeps ``kept`` (Pa) across it as long as there is that
-    much: far above, the flow does not depend on the load; below, the valve is wide open and the edge alone
-    counts. It also is a check valve: no oil goes back.
+    The compensator, a valve in series before the edge, keeps ``compensated`` (Pa) across it as long as there
+    is that much: far above, the flow does not depend on the load; below, the valve is wide open and the edge
+    alone counts. It also is a check valve: no oil goes back.
     """
     if drop <= 0.0:
         return 0.0
-    ratio = drop / kept
+    ratio = drop / compensated
     ratio *= ratio
     return drop / math.sqrt(math.sqrt(1.0 + ratio * ratio))
 
@@ -112,12 +112,12 @@ class ValveDrive(NamedTuple):
 class ValveTargets(NamedTuple):
     """Where the six valves are sent, (6,) each, −1…1.
 
-    ``told``: what is in force. ``spool``: where the spools go, dragged along by what is told with the
+    ``commanded``: what is in force. ``spool``: where the spools go, dragged along by what is told with the
     hysteresis as its play (``half_hysteresis`` each way). ``drive``: how far the slew limit has let them.
     ``senses``: −1 where a valve goes the other way.
     """
 
-    told: NDArray[np.float64]
+    commanded: NDArray[np.float64]
     spool: NDArray[np.float64]
     drive: NDArray[np.float64]
     half_hysteresis: NDArray[np.float64]
@@ -135,9 +135,9 @@ class Leaving(NamedTuple):
 @allocation_free
 def take(valves: ValveTargets, valve: int, command: float) -> None:
     """Let ``command`` be in force for one valve."""
-    told, play = min(max(valves.senses[valve] * command, -1.0), 1.0), valves.half_hysteresis[valve]
-    valves.told[valve] = told
-    valves.spool[valve] = min(max(valves.spool[valve], told - play), told + play)
+    commanded, play = min(max(valves.senses[valve] * command, -1.0), 1.0), valves.half_hysteresis[valve]
+    valves.commanded[valve] = commanded
+    valves.spool[valve] = min(max(valves.spool[valve], commanded - play), commanded + play)
 
 
 class ValveCommands:

@@ -34,14 +34,14 @@ def _spool(commands: np.ndarray, half: float) -> np.ndarray:
 
 @pytest.mark.parametrize("half", [0.01, 0.025])
 def test_a_spool_with_hysteresis_goes_where_it_is_wanted(half: float) -> None:
-    wanted = 0.3 * np.sin(np.linspace(0.0, 12.0, 2000)) + 0.1 * np.sin(np.linspace(0.0, 47.0, 2000))
+    expected = 0.3 * np.sin(np.linspace(0.0, 12.0, 2000)) + 0.1 * np.sin(np.linspace(0.0, 47.0, 2000))
     sense, furthest, commands = 1.0, 0.0, []
-    for each in wanted:
+    for each in expected:
         command, sense, furthest = without_play(each, half, sense, furthest)
         commands.append(command)
     # it turns over only when the wanted place has come back by a tenth of the width
-    assert np.abs(_spool(np.array(commands), half) - wanted).max() <= 0.2 * half + 1e-12
-    assert np.abs(_spool(wanted, half) - wanted).max() > 0.9 * half  # without it
+    assert np.abs(_spool(np.array(commands), half) - expected).max() <= 0.2 * half + 1e-12
+    assert np.abs(_spool(expected, half) - expected).max() > 0.9 * half  # without it
 
 
 def test_noise_does_not_throw_the_spool_to_and_fro() -> None:

@@ -23,17 +23,17 @@ def test_axes_that_cannot_arrive_together_arrive_each_by_itself() -> None:
     upright = np.array([1.0, 0.0, 0.0, 0.0])
     start = Desired(LEFT, SPEED, PUSH, upright, still, still)
 
-    wanted = InputParameter(AXES)  # Ruckig itself finds no way in step; should it learn to, this test is idle
-    wanted.synchronization = Synchronization.Phase
-    wanted.current_position = [*LEFT.tolist(), 0.0, 0.0, 0.0]
-    wanted.current_velocity = [*SPEED.tolist(), 0.0, 0.0, 0.0]
-    wanted.current_acceleration = [*PUSH.tolist(), 0.0, 0.0, 0.0]
-    wanted.target_position = [0.0] * AXES
-    wanted.max_velocity = LIMITS.speed.tolist()
-    wanted.max_acceleration = LIMITS.acceleration.tolist()
-    wanted.max_jerk = LIMITS.jerk.tolist()
+    request = InputParameter(AXES)  # Ruckig itself finds no way in step; if it learns to, this test is idle
+    request.synchronization = Synchronization.Phase
+    request.current_position = [*LEFT.tolist(), 0.0, 0.0, 0.0]
+    request.current_velocity = [*SPEED.tolist(), 0.0, 0.0, 0.0]
+    request.current_acceleration = [*PUSH.tolist(), 0.0, 0.0, 0.0]
+    request.target_position = [0.0] * AXES
+    request.max_velocity = LIMITS.speed.tolist()
+    request.max_acceleration = LIMITS.acceleration.tolist()
+    request.max_jerk = LIMITS.jerk.tolist()
     with pytest.raises(RuckigError):
-        Ruckig(AXES).calculate(wanted, Trajectory(AXES))
+        Ruckig(AXES).calculate(request, Trajectory(AXES))
 
     way = approach(start, still, upright, np.zeros(AXES), LIMITS)
     assert way is not None

@@ -41,10 +41,10 @@ class Watching:
 
     async def subscribe(self, *topics: str) -> None:
         """Ask for topics."""
-        wanted = [
+        expected = [
             {"id": self.channels[each]["id"] + 100, "channelId": self.channels[each]["id"]} for each in topics
         ]
-        await self.connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        await self.connection.send(json.dumps({"op": "subscribe", "subscriptions": expected}))
 
     async def unsubscribe(self, topic: str) -> None:
         """Ask no longer for a topic."""

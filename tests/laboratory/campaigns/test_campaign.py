@@ -115,9 +115,9 @@ def test_workers_that_are_all_gone_are_not_waited_for(
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
         protocol="tcp", host="127.0.0.1",
-    ) as cluster, pytest.raises(LinkLost) as told:  # fmt: skip
+    ) as cluster, pytest.raises(LinkLost) as refused:  # fmt: skip
         run_campaign(tmp_path, resigning, tasks(3), scheduler=cluster.scheduler_address, title="three")
-    assert told.value.cause == "link.workers_lost"
+    assert refused.value.cause == "link.workers_lost"
 
 
 @pytest.mark.realtime
@@ -127,17 +127,17 @@ def test_workers_that_are_all_gone_are_not_waited_for(
 )
 def test_a_scheduler_that_is_not_there_is_told_soon(tmp_path: Path, scheduler: str, cause: str) -> None:
     began = time.monotonic()
-    with pytest.raises((LinkLost, ConfigurationError)) as told:
+    with pytest.raises((LinkLost, ConfigurationError)) as refused:
         run_campaign(tmp_path, measured, tasks(1), scheduler=scheduler, title="none")
-    assert told.value.cause == cause
-    assert scheduler in str(told.value)
+    assert refused.value.cause == cause
+    assert scheduler in str(refused.value)
     assert time.monotonic() - began < REACH_S + 5.0
 
 
 def test_a_key_given_twice_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError) as told:
+    with pytest.raises(ConfigurationError) as refused:
         run_campaign(tmp_path, measured, [*tasks(1), *tasks(1)], scheduler=None, title="twice")
-    assert told.value.cause == "configuration.duplicate_task"
+    assert refused.value.cause == "configuration.duplicate_task"
 
 
 def test_the_configuration_is_the_function_what_is_bound_to_it_and_the_task() -> None:

@@ -66,9 +66,9 @@ def test_figures_are_compared_by_their_means_of_absolute_values() -> None:
     beside = {made.name: made for made in compared("table2", rows)}
     x, y, z = beside["x, mm"], beside["y, mm"], beside["z, mm"]
     assert (x.runs, x.mean, x.ratio) == (2, 30.0, 30.0 / 24.0)
-    assert (x.wanted, x.reached) == (True, True)
-    assert (y.wanted, y.reached) == (True, False)  # 65 against 29
-    assert not z.wanted
+    assert (x.judged, x.reached) == (True, True)
+    assert (y.judged, y.reached) == (True, False)  # 65 against 29
+    assert not z.judged
     assert x.std == pytest.approx(math.sqrt(200.0))
     cells = comparison_cells(list(beside.values()))
     assert cells[3][-1] == "within 2"

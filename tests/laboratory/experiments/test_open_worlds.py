@@ -54,13 +54,13 @@ def test_a_rectangle_is_where_the_pinhole_has_it() -> None:
     left, right = RayCaster(CastWorld([square], texture, 200.0)).pictures(camera, se3.identity())
     for grey, shift in ((left, 0.0), (right, CAR.f_px * CAR.baseline_m / 10.0)):
         rows, columns = np.nonzero(grey < 150.0)
-        for value, wanted in (
+        for value, expected in (
             (columns.min(), CAR.cx_px - shift - 0.1 * CAR.f_px),
             (columns.max(), CAR.cx_px - shift + 0.1 * CAR.f_px),
             (rows.min(), CAR.cy_px - 0.1 * CAR.f_px),
             (rows.max(), CAR.cy_px + 0.1 * CAR.f_px),
         ):
-            assert abs(value - wanted) <= 1.0
+            assert abs(value - expected) <= 1.0
 
 
 def test_on_a_road_the_disparities_offset_is_found_and_taken_out(road: Sequence) -> None:

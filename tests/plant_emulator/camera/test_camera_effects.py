@@ -36,8 +36,8 @@ def test_motion_carries_one_view_into_the_next() -> None:
     turn = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
     now = CameraView(*(X @ transform(turn, np.array([0.002, 0.001, -0.003])) for X in before))
     motion = motion_between(before, now, 0.02)
-    for reached, wanted in zip(motion.at(before, 0.02), now, strict=True):
-        assert np.allclose(reached, wanted, atol=1e-12)
+    for reached, expected in zip(motion.at(before, 0.02), now, strict=True):
+        assert np.allclose(reached, expected, atol=1e-12)
     assert np.allclose(
         motion.at(before, 0.01).X_WC[:3, 3], (before.X_WC[:3, 3] + now.X_WC[:3, 3]) / 2.0, atol=1e-12
     )
@@ -209,8 +209,8 @@ def test_light_becomes_grey_as_dirt_vignetting_gain_and_curve_say() -> None:
     v, u = np.mgrid[0:40, 0:60]
     falls = 1.3 * (1.0 - 1e-4 * ((u - 28.5) ** 2 + (v - 21.0) ** 2))
     light = np.clip((picture * passed + added) * falls, 0.0, 255.0)
-    wanted = np.interp(light, np.arange(257), response)
+    expected = np.interp(light, np.arange(257), response)
     single = [part.astype(np.float32) for part in (passed, added, response)]
     line = stereo_camera._Line(np.empty(60, np.float32), np.empty(60, np.int32))
     stereo_camera._expose(picture, single[0], single[1], 1.3, 1e-4, (28.5, 21.0), single[2], line)
-    assert np.abs(picture - wanted).max() < 0.501
+    assert np.abs(picture - expected).max() < 0.501

@@ -102,9 +102,9 @@ def test_bars_stand_where_the_mat_says() -> None:
     picture = eyes.render_eye(LEFT, view, 1).astype(float)
     _, row = column_of(eyes, view, -0.6, 0.05, 0.1)  # between two level bars
     profile = (120.0 - picture[round(row), :460]) / 100.0
-    wanted = [column_of(eyes, view, x, 0.05, 0.1)[0] for x in (-0.8, -0.7, -0.6, -0.5, -0.4)]
+    expected = [column_of(eyes, view, x, 0.05, 0.1)[0] for x in (-0.8, -0.7, -0.6, -0.5, -0.4)]
     assert profile.sum() == pytest.approx(5 * 0.02 * eyes.config.lens.fx_px / 0.9, rel=0.02)
-    for column in wanted:
+    for column in expected:
         near = np.arange(round(column) - 10, round(column) + 11)
         assert (near * profile[near]).sum() / profile[near].sum() == pytest.approx(column, abs=0.1)
 

@@ -80,8 +80,8 @@ def test_the_right_eyes_picture_shows_its_own_lens() -> None:
     whole = TrueView(eyes.config, eyes.scene).markers(Capture(1, 0, view))
     seen = {marker: both.right for marker, both in whole.items() if both.right is not None}
     assert len(seen) >= 3
-    for marker, wanted in seen.items():
-        assert np.abs(found_in(picture, wanted) - wanted).max() < FOUND_PX, marker
+    for marker, expected in seen.items():
+        assert np.abs(found_in(picture, expected) - expected).max() < FOUND_PX, marker
     assert np.array_equal(eyes.render_eye(LEFT, view, 1), clean_camera().render_eye(LEFT, view, 1))
 
 
@@ -123,10 +123,10 @@ def test_a_drifted_right_eye_shows_so_much_more_disparity_and_rows() -> None:
     still = taken(eyes, Capture(1, 0, view))
     drifted = taken(eyes, capture)
     assert np.array_equal(still[LEFT], drifted[LEFT])
-    wanted = TrueView(eyes.config, eyes.scene).markers(capture)[3].right
-    assert wanted is not None
-    assert np.abs(found_in(drifted[RIGHT], wanted) - wanted).max() < FOUND_PX
-    assert np.abs(found_in(still[RIGHT], wanted) - wanted).max() > 0.5
+    expected = TrueView(eyes.config, eyes.scene).markers(capture)[3].right
+    assert expected is not None
+    assert np.abs(found_in(drifted[RIGHT], expected) - expected).max() < FOUND_PX
+    assert np.abs(found_in(still[RIGHT], expected) - expected).max() > 0.5
 
 
 @pytest.mark.parametrize(("mode_hz", "readout_ms"), [(60, 11.3), (30, 18.4), (15, 36.9)])
@@ -158,11 +158,11 @@ def test_rendered_and_projected_rolling_shutter_agree() -> None:
     moving, still = true_view.markers(capture), true_view.markers(Capture(1, 0, view))
     skew = 0.0
     for marker, seen in moving.items():
-        for eye, wanted in enumerate(seen):
-            if wanted is not None:
-                assert np.abs(found_in(pair[eye], wanted) - wanted).max() < FOUND_PX, marker
+        for eye, expected in enumerate(seen):
+            if expected is not None:
+                assert np.abs(found_in(pair[eye], expected) - expected).max() < FOUND_PX, marker
                 unmoved = still[marker][eye]
-                skew = max(skew, 0.0 if unmoved is None else float(np.abs(wanted - unmoved).max()))
+                skew = max(skew, 0.0 if unmoved is None else float(np.abs(expected - unmoved).max()))
     assert skew > 0.5
 
 
@@ -192,8 +192,8 @@ def test_a_misplaced_marker_is_seen_where_it_hangs() -> None:
     side = hung[1] - hung[0]
     assert np.degrees(np.arctan2(side[1], side[0])) == pytest.approx(1.0)
     view = start_view(eyes.scene)
-    wanted = eyes.project_corners(*view)[markers[0]["marker_id"]][LEFT]
-    assert np.abs(found_in(eyes.render_eye(LEFT, view, 1), wanted) - wanted).max() < FOUND_PX
+    expected = eyes.project_corners(*view)[markers[0]["marker_id"]][LEFT]
+    assert np.abs(found_in(eyes.render_eye(LEFT, view, 1), expected) - expected).max() < FOUND_PX
 
 
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 45.0])
@@ -206,19 +206,19 @@ def test_a_bent_plates_corners_stand_off_its_middle(direction_deg: float) -> Non
     rise = [0.004] * 4 if direction_deg != 45.0 else [0.0, 0.008, 0.0, 0.008]
     np.testing.assert_allclose(corners[:, 2], rise, atol=1e-12)
     oblique = wall_view(eyes.scene, 0.7, (0.0, 25.0, 0.0))
-    wanted = eyes.project_corners(*oblique)[marker["marker_id"]][LEFT]
+    expected = eyes.project_corners(*oblique)[marker["marker_id"]][LEFT]
     flat_O = (corners * [1, 1, 0]) @ eyes.scene.mounts.X_WO[:3, :3].T + eyes.scene.mounts.X_WO[:3, 3]
     flat, _ = eyes.project(oblique.X_WC, flat_O)
     picture = eyes.render_eye(LEFT, oblique, 1)
-    columns, rows = np.rint(wanted.mean(axis=0)).astype(int)
+    columns, rows = np.rint(expected.mean(axis=0)).astype(int)
     assert picture[rows - 60 : rows + 60, columns - 60 : columns + 60].std() > 40.0  # it is there at all
     # the oracle fits straight lines, but the rims across the bend are curves
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
-    near = [corner.astype(np.float32).reshape(1, 1, 2) for corner in wanted]
+    near = [corner.astype(np.float32).reshape(1, 1, 2) for corner in expected]
     found = np.array([cv2.cornerSubPix(picture, at, (4, 4), (-1, -1), stop)[0, 0] for at in near])
-    at_flat = np.abs(flat - wanted).max(axis=1)
+    at_flat = np.abs(flat - expected).max(axis=1)
     assert at_flat.max() > 1.0
-    assert np.abs(found - wanted).max() < 0.45  # cornerSubPix is biased inward by a quarter of a pixel
+    assert np.abs(found - expected).max() < 0.45  # cornerSubPix is biased inward by a quarter of a pixel
 
 
 @pytest.mark.parametrize(

@@ -217,17 +217,17 @@ async def test_a_master_that_never_reads_is_not_read_on_and_then_closed(bench: B
 
 
 async def test_a_master_that_reads_late_gets_every_answer(bench: Bench) -> None:
-    late, got, wanted = await bench.master(), 0, 3000
-    pending = READ * wanted
-    while got < wanted * ANSWER_BYTES:
+    late, got, expected = await bench.master(), 0, 3000
+    pending = READ * expected
+    while got < expected * ANSWER_BYTES:
         with contextlib.suppress(BlockingIOError):
             pending = pending[late.send(pending) :]
         await asyncio.sleep(0)
         if bench.blocked() or not pending:
             with contextlib.suppress(BlockingIOError):
                 got += len(late.recv(1 << 16))
-    assert got == wanted * ANSWER_BYTES
-    assert bench.coupler.statistics.requests == wanted
+    assert got == expected * ANSWER_BYTES
+    assert bench.coupler.statistics.requests == expected
 
 
 async def test_strangers_displace_strangers_and_never_the_writer(bench: Bench) -> None:

@@ -94,8 +94,8 @@ class Schedule(RuleBasedStateMachine):
             for number, one in list(self.known.items()):
                 if one.end_ns is not None and one.end_ns <= self.now:
                     del self.known[number]
-            wanted = {number for number, one in self.known.items() if one.start_ns <= self.now}
-            assert {one.number for one in self.schedule.active} == wanted
+            expected = {number for number, one in self.known.items() if one.start_ns <= self.now}
+            assert {one.number for one in self.schedule.active} == expected
             assert self.schedule.next_ns() > self.now
             self.now += 1
         self.now -= 1

@@ -176,8 +176,8 @@ def test_an_encoder_bias_creeps_in(exact: Plant) -> None:
     for _ in range(60):
         driver.run(0.05)
         errors.append(reading_error(exact)[0])
-    wanted = 0.04 * np.minimum(0.05 * np.arange(1, 61) / 2.0, 1.0)
-    np.testing.assert_allclose(errors, wanted, atol=RAD_PER_COUNT)
+    expected = 0.04 * np.minimum(0.05 * np.arange(1, 61) / 2.0, 1.0)
+    np.testing.assert_allclose(errors, expected, atol=RAD_PER_COUNT)
 
 
 def test_a_dropped_payload_relieves_the_cylinder_and_lets_the_tip_jump() -> None:

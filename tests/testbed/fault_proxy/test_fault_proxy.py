@@ -163,9 +163,9 @@ async def talk(port: int, count: int, wait_s: float = 0.4) -> list[bytes]:
 
 async def test_datagrams_pass_in_order_and_each_client_keeps_its_own_port() -> None:
     async with udp_through(Faults()) as (proxy, echo):
-        wanted = [index.to_bytes(4, "big") for index in range(50)]
-        assert await talk(proxy.port, 50) == wanted
-        assert await talk(proxy.port, 50) == wanted
+        expected = [index.to_bytes(4, "big") for index in range(50)]
+        assert await talk(proxy.port, 50) == expected
+        assert await talk(proxy.port, 50) == expected
         assert len(set(echo.sources)) == 2
     assert proxy.statistics()["to_client"]["passed"] == 100
 

@@ -75,9 +75,9 @@ def saved(tmp_path: Path, data: Any) -> Path:
 )
 def test_every_way_of_writing_a_pose_is_read(tmp_path: Path, scene: HandEyeScene, form: str) -> None:
     pairs = load(saved(tmp_path, document(scene, form)))
-    wanted = exact_pairs(scene)
-    np.testing.assert_allclose(pairs.H, wanted.H, atol=1e-12)
-    np.testing.assert_allclose(pairs.P, wanted.P, atol=1e-12)
+    expected = exact_pairs(scene)
+    np.testing.assert_allclose(pairs.H, expected.H, atol=1e-12)
+    np.testing.assert_allclose(pairs.P, expected.P, atol=1e-12)
     assert set(pairs.names) == {f"s{k}" for k in range(6)}
 
 

@@ -159,7 +159,7 @@ def test_the_plant_file_loads_and_is_the_plant_that_was_fitted(
     file: PlantConfig, true_fit: Identified, recorded: MotionRecording, tmp_path: Path
 ) -> None:
     kept = next(k for k, p in enumerate(true_fit.problem.parameters) if p.name == "lift play")
-    found = true_fit._replace(whole=true_fit.whole._replace(kept=(kept,)))
+    found = true_fit._replace(whole=true_fit.whole._replace(fixed=(kept,)))
     path = tmp_path / "deep" / "plant_identified.yaml"
     loaded = write_plant_file(path, found, file, recorded._replace(sha256="ab" * 32))
     text = path.read_text()

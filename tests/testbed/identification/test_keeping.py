@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from testbed.identification.fit import IDENTIFIED_BELOW, keep_untold
+from testbed.identification.fit import IDENTIFIED_BELOW, fix_unidentified
 
 
 def _fitted(rows: np.ndarray, truth: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -12,8 +12,8 @@ def _fitted(rows: np.ndarray, truth: np.ndarray, noise: np.ndarray) -> tuple[np.
 
 
 def test_what_is_not_told_goes_back_to_the_file_with_the_priors_spread() -> None:
-    kept = keep_untold(np.array([0.3, 0.2]), np.diag([1e-4, 0.95]), [0, 1])
-    assert kept.kept == (1,)
+    kept = fix_unidentified(np.array([0.3, 0.2]), np.diag([1e-4, 0.95]), [0, 1])
+    assert kept.fixed == (1,)
     np.testing.assert_allclose(kept.theta, [0.3, 0.0])
     np.testing.assert_allclose(kept.covariance, np.diag([1e-4, 1.0]))
 
@@ -21,8 +21,8 @@ def test_what_is_not_told_goes_back_to_the_file_with_the_priors_spread() -> None
 def test_of_two_that_only_their_sum_tells_one_is_kept_and_the_other_makes_up_for_it() -> None:
     rows = 1e3 * np.array([[1.0, 1.0]])
     theta, posterior = _fitted(rows, np.array([0.5, 0.3]), np.zeros(1))
-    kept = keep_untold(theta, posterior, [0, 1])
-    assert len(kept.kept) == 1
+    kept = fix_unidentified(theta, posterior, [0, 1])
+    assert len(kept.fixed) == 1
     np.testing.assert_allclose(kept.theta.sum(), 0.8, atol=1e-5)
     np.testing.assert_allclose(np.sqrt(np.diag(kept.covariance)), 1.0, rtol=1e-3)
     assert np.sqrt(kept.covariance.sum()) < 2e-3  # of their sum
@@ -37,11 +37,11 @@ def test_the_covariance_is_that_of_the_error_over_many_plants() -> None:
     for _ in range(4000):
         truth = rng.standard_normal(6)
         theta, posterior = _fitted(rows, truth, rng.standard_normal(40))
-        kept = keep_untold(theta, posterior, list(range(6)))
+        kept = fix_unidentified(theta, posterior, list(range(6)))
         errors.append(kept.theta - truth)
     assert kept is not None
-    assert set(kept.kept) == {2, 4}
-    told = [k for k in range(6) if k not in kept.kept]
+    assert set(kept.fixed) == {2, 4}
+    told = [k for k in range(6) if k not in kept.fixed]
     assert np.sqrt(np.diag(kept.covariance))[told].max() < IDENTIFIED_BELOW
     off = np.array(errors)
     nees = np.einsum("ni,ij,nj->n", off, np.linalg.inv(kept.covariance), off) / 6

@@ -75,6 +75,6 @@ def test_a_look_through_raw_eyes_is_as_good_as_through_rectified_ones(raw: Setti
 
 def test_eyes_without_pictures_take_no_raw_pairs(raw: Settings) -> None:
     model = load_eye_model(CONFIGS, "usual")
-    with pytest.raises(ConfigurationError, match="these eyes take no raw pairs") as told:
+    with pytest.raises(ConfigurationError, match="these eyes take no raw pairs") as refused:
         partial(simulated_sight, model=model, seed=1)(World(raw, 1, RunLog()))
-    assert told.value.cause == "configuration.raw_camera"
+    assert refused.value.cause == "configuration.raw_camera"

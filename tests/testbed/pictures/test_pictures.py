@@ -44,8 +44,8 @@ def test_every_switch_is_a_key_of_the_scene_or_a_fault(shipped: SceneConfig) -> 
 
 def test_the_command_shows_an_effect_off_and_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def two(scene: SceneConfig) -> tuple[Effect, ...]:
-        wanted = ("vignetting", "marker covered")
-        return tuple(effect for effect in effects(scene) if effect.name in wanted)
+        expected = ("vignetting", "marker covered")
+        return tuple(effect for effect in effects(scene) if effect.name in expected)
 
     monkeypatch.setattr(effect_sheet, "effects", two)
     figures = tmp_path / "effects.json"

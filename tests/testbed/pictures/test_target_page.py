@@ -82,13 +82,13 @@ def test_a_marker_has_its_side_and_its_modules_and_is_found(tmp_path: Path, dict
     corner = np.array(json.loads(told.read_text())["corner_mm"])
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     modules = family.markerSize + 2
-    wanted = cv2.aruco.generateImageMarker(family, 582, modules) == 0
-    black = np.zeros_like(wanted)
+    expected = cv2.aruco.generateImageMarker(family, 582, modules) == 0
+    black = np.zeros_like(expected)
     for x, y, width, height in (cells - [*corner, 0.0, 0.0]) * modules / 56.0:
         np.testing.assert_allclose([x, y, width, height], np.round([x, y, width, height]), atol=0.005)
         assert height == pytest.approx(1.0, abs=0.005)
         black[round(y), round(x) : round(x + width)] = True
-    assert (black == wanted).all()
+    assert (black == expected).all()
     seen = found_markers(raster(size, [cells, *rulers]), dictionary)
     assert [marker.number for marker in seen] == [582]
     where = (seen[0].corners + 0.5) / _PER_MM

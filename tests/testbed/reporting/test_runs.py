@@ -49,9 +49,9 @@ def test_a_run_directory_without_results_does_not_stay(tmp_path: Path) -> None:
 
 def test_a_run_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no directory")
-    with pytest.raises(ConfigurationError) as told, run_directory(tmp_path / "file"):
+    with pytest.raises(ConfigurationError) as refused, run_directory(tmp_path / "file"):
         pass
-    assert told.value.cause == "output.unwritable"
+    assert refused.value.cause == "output.unwritable"
 
 
 def test_a_record_says_what_made_the_run_and_how_it_ended(

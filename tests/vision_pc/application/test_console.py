@@ -25,7 +25,7 @@ from vision_pc.application.console.advice import (
     alarm_json,
     skeleton,
 )
-from vision_pc.application.console.overlay import ToldEllipse, overlay
+from vision_pc.application.console.overlay import PredictedEllipse, overlay
 from vision_pc.application.console.overview import conditions, ellipse_of, glimpse, told_by
 from vision_pc.application.ports import Seen
 from vision_pc.core.types import Look
@@ -119,7 +119,7 @@ def pixel(point: np.ndarray) -> np.ndarray:
 
 def test_the_overlay_is_where_the_points_are() -> None:
     look = a_look()
-    told = ToldEllipse((0.004, -0.001), 0.003, 0.001, math.radians(90.0))
+    told = PredictedEllipse((0.004, -0.001), 0.003, 0.001, math.radians(90.0))
     drawn = overlay(Seen(observed(look, 5), CAMERA, TOOL_ID), 0.1, 0.005, told)
     aim = np.array([0.03, 0.05, 0.82])
     assert drawn["error_mm"] == pytest.approx([10.0, 60.0, 20.0])
@@ -163,4 +163,4 @@ def test_only_a_drive_tells_where_it_ends() -> None:
     assert told_by("look-then-move", {"steps": []}) is None
     assert told_by("move", {"steps": [{"expected": told}]}) is None
     assert ellipse_of(None) is None
-    assert ellipse_of(told) == ToldEllipse((0.001, -0.002), 0.003, 0.001, pytest.approx(math.pi / 4))
+    assert ellipse_of(told) == PredictedEllipse((0.001, -0.002), 0.003, 0.001, pytest.approx(math.pi / 4))

@@ -144,9 +144,9 @@ def test_older_zed_files_have_no_small_shifts(tmp_path: Path, line: str) -> None
     found = read_calibration(write(tmp_path / "SN1.conf", ZED.replace(line, "")), SIZE)
     t_RL = -R @ np.array(found.right_position_m)
     gone = 1 if line[1] == "Y" else 2
-    wanted = T.copy()
-    wanted[gone] = 0.0
-    np.testing.assert_allclose(t_RL, wanted, atol=1e-12)
+    expected = T.copy()
+    expected[gone] = 0.0
+    np.testing.assert_allclose(t_RL, expected, atol=1e-12)
 
 
 def test_newer_zed_files_hold_the_distortion_apart_and_shifts_by_resolution(tmp_path: Path) -> None:

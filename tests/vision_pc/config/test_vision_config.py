@@ -21,9 +21,9 @@ from vision_pc.config.vision import VisionConfig
 def test_a_key_that_moved_to_arm_yaml_is_refused_and_says_so(assignment: str) -> None:
     overrides: dict[str, Any] = parse_overrides([assignment])["vision"]
     key = assignment.partition("=")[0].removeprefix("vision.")
-    with pytest.raises(ConfigurationError, match=rf"vision\.yaml: {key}: .*arm\.yaml") as told:
+    with pytest.raises(ConfigurationError, match=rf"vision\.yaml: {key}: .*arm\.yaml") as refused:
         load(VisionConfig, VISION_YAML, overrides)
-    assert told.value.cause == "configuration.unknown_key"
+    assert refused.value.cause == "configuration.unknown_key"
 
 
 def test_a_rectangle_inside_out_is_refused() -> None:

@@ -73,9 +73,9 @@ async def test_a_hidden_target_is_named(tmp_path: Path) -> None:
     pair, camera, true = await seen(tmp_path, (0.0, 0.0, 0.0))
     u, v = intrinsics.project(camera.right, true[2:3])[0].round().astype(int)
     pair.right[v - 30 : v + 31, u - 30 : u + 31] = 90
-    with pytest.raises(MeasurementFailed, match="key hole") as told:
+    with pytest.raises(MeasurementFailed, match="key hole") as refused:
         CabinetLocator(drawing()).locate(pair, camera)
-    assert told.value.cause == "measurement.hand_eye.target_not_seen"
+    assert refused.value.cause == "measurement.hand_eye.target_not_seen"
 
 
 async def test_a_target_in_the_wrong_place_is_refused(tmp_path: Path) -> None:
@@ -84,9 +84,9 @@ async def test_a_target_in_the_wrong_place_is_refused(tmp_path: Path) -> None:
     knob, *others = honest.targets
     found = CabinetLocator(honest).locate(pair, camera)
     moved = (found[0]._replace(p_C=found[0].p_C + np.array([0.01, 0.0, 0.0])), *found[1:])
-    with pytest.raises(MeasurementFailed, match=r"knob: .* mm nearer to or farther") as told:
+    with pytest.raises(MeasurementFailed, match=r"knob: .* mm nearer to or farther") as refused:
         cabinet._refuse_strangers(moved, honest._replace(targets=(knob, *others)))
-    assert told.value.cause == "measurement.hand_eye.target_not_seen"
+    assert refused.value.cause == "measurement.hand_eye.target_not_seen"
 
 
 async def test_a_locator_knows_its_own_drawing_alone(tmp_path: Path) -> None:
@@ -108,6 +108,6 @@ def test_a_bare_wall_shows_no_cabinet(tmp_path: Path) -> None:
     wall = cv2.GaussianBlur(rng.integers(0, 255, (720, 1280), dtype=np.uint8), (0, 0), 2.0)
     pair = StereoPair(np.asarray(wall, dtype=np.uint8), np.asarray(wall, dtype=np.uint8), 0, 0)
     camera = intrinsics.calibration(still_settings().vision.camera)
-    with pytest.raises(MeasurementFailed, match="features of the cabinet's drawing") as told:
+    with pytest.raises(MeasurementFailed, match="features of the cabinet's drawing") as refused:
         CabinetLocator(drawing()).locate(pair, camera)
-    assert told.value.cause == "measurement.hand_eye.cabinet_not_seen"
+    assert refused.value.cause == "measurement.hand_eye.cabinet_not_seen"

@@ -154,9 +154,9 @@ async def test_after_a_fault_nothing_more_is_tried_and_the_pose_is_not_proposed_
     rig = quick_rig(tmp_path)
     await begun(rig)
     rig.refuse = lambda X: "fault_joint_limit"
-    with pytest.raises(RequestRefused) as told:
+    with pytest.raises(RequestRefused) as refused:
         await rig.guided.next_pose(quiet)
-    assert told.value.cause == "refused.fault_joint_limit"
+    assert refused.value.cause == "refused.fault_joint_limit"
     assert len(rig.guided.session.refused) == 1
     assert rig.guided.session.proposal is None
 
@@ -165,10 +165,10 @@ async def test_an_arm_that_moves_on_spoils_the_sample(tmp_path: Path) -> None:
     rig = quick_rig(tmp_path)
     await begun(rig)
     rig.settled, rig.drift_mrad = False, 3.0
-    with pytest.raises(MeasurementFailed) as told:
+    with pytest.raises(MeasurementFailed) as refused:
         await rig.guided.sample(quiet)
-    assert told.value.cause == "measurement.hand_eye.not_settled"
-    assert "limit 1 mrad" in str(told.value)
+    assert refused.value.cause == "measurement.hand_eye.not_settled"
+    assert "limit 1 mrad" in str(refused.value)
     assert len(rig.guided.session.samples) == 1
 
 
@@ -188,9 +188,9 @@ async def test_no_marker_or_another_one_is_said(
         scene=type(settings.scene).model_validate(settings.scene.model_dump() | {"boards": boards})
     )
     rig = StillRig(settings, tmp_path)
-    with pytest.raises(MeasurementFailed, match=what) as told:
+    with pytest.raises(MeasurementFailed, match=what) as refused:
         await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
-    assert told.value.cause == cause
+    assert refused.value.cause == cause
     assert rig.guided.store.names() == []
 
 
@@ -215,9 +215,9 @@ async def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestRefused, match="marker 0 is the tool's"):
         await rig.guided.start("tuesday", tool, 1, quiet)
     await rig.guided.sample(quiet)
-    with pytest.raises(RequestRefused, match="the same sample twice") as told:
+    with pytest.raises(RequestRefused, match="the same sample twice") as refused:
         rig.guided.session.with_sample(rig.guided.session.samples[0]._replace(name="2"))
-    assert told.value.cause == "refused.hand_eye.duplicate"
+    assert refused.value.cause == "refused.hand_eye.duplicate"
 
 
 @pytest.mark.parametrize(
@@ -240,9 +240,9 @@ async def test_a_spoiled_session_file_is_refused_by_name(tmp_path: Path, change:
     document = json.loads(file.read_text())
     change(document)
     file.write_text(json.dumps(document))
-    with pytest.raises(RequestRefused, match=what) as told:
+    with pytest.raises(RequestRefused, match=what) as refused:
         rig.guided.resume("monday")
-    assert told.value.cause.startswith("refused.hand_eye.")
+    assert refused.value.cause.startswith("refused.hand_eye.")
     assert rig.guided.session.samples[0].name == "1"  # what was open stays open
 
 

@@ -22,14 +22,14 @@ def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path
     X_BT = rig.run(rig.arm.view()).X_BT
     away = se3.transform(X_BT[:3, :3], X_BT[:3, 3] + [-0.08, 0.0, 0.05])
     rig.run(rig.link.request(ReferencePose(0, se3.to_pose(away), 2.0)))
-    with pytest.raises(RequestRefused) as told:
+    with pytest.raises(RequestRefused) as refused:
         rig.run(rig.guided.sample(quiet))
-    assert told.value.cause == "refused.moving"
+    assert refused.value.cause == "refused.moving"
     assert [s.name for s in rig.guided.session.samples] == ["1"]
     outside = se3.transform(X_BT[:3, :3], X_BT[:3, 3] + [3.0, 0.0, 0.0])
-    with pytest.raises(RequestRefused) as told:
+    with pytest.raises(RequestRefused) as refused:
         rig.run(rig.arm.move_to(outside))
-    assert told.value.cause == "refused.too_far"
+    assert refused.value.cause == "refused.too_far"
 
     done = rig.run(rig.guided.next_pose(quiet))
     sample = rig.run(rig.guided.sample(quiet))

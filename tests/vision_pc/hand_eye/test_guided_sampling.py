@@ -134,9 +134,9 @@ def test_refused_poses_cast_a_shadow_for_joint_limits_only() -> None:
 
 def test_no_pose_left_is_said() -> None:
     tight = SETTINGS.model_copy(update={"clearance_m": 1.0})
-    with pytest.raises(MeasurementFailed, match="none of 800 views") as told:
+    with pytest.raises(MeasurementFailed, match="none of 800 views") as refused:
         guided_sampling.propose(session(2, True).belief, AROUND, tight, np.random.default_rng(1))
-    assert told.value.cause == "measurement.hand_eye.no_pose"
+    assert refused.value.cause == "measurement.hand_eye.no_pose"
 
 
 def test_a_wrist_turned_by_its_zeros_looks_like_a_turned_camera() -> None:

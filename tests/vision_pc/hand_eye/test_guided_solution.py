@@ -232,9 +232,9 @@ def test_a_file_of_format_1_loads_and_is_solved_as_before() -> None:
     assert "X_CT" not in json.dumps(again)
     assert sessions.to_json(sessions.from_json(again, CAMERA)) == again
     del document["settings"]["arm"]["links"][2]["d_m"]
-    with pytest.raises(RequestRefused, match="'d_m' is missing") as told:
+    with pytest.raises(RequestRefused, match="'d_m' is missing") as refused:
         sessions.from_json(document, CAMERA)
-    assert told.value.cause == "refused.hand_eye.format"
+    assert refused.value.cause == "refused.hand_eye.format"
 
 
 def test_joint_angles_are_kept_in_the_file_and_old_files_have_none() -> None:
@@ -248,6 +248,6 @@ def test_joint_angles_are_kept_in_the_file_and_old_files_have_none() -> None:
         del sample["joints_rad"]
     assert [s.q for s in sessions.from_json(document, CAMERA).samples] == [None] * 5
     document["samples"][0]["joints_rad"] = [0.0] * 5
-    with pytest.raises(Exception, match=r"shape \(6,\)") as told:
+    with pytest.raises(Exception, match=r"shape \(6,\)") as refused:
         sessions.from_json(document, CAMERA)
-    assert told.value.cause == "refused.hand_eye.format"  # type: ignore[attr-defined]
+    assert refused.value.cause == "refused.hand_eye.format"  # type: ignore[attr-defined]

@@ -80,15 +80,15 @@ def test_what_points_miss_by_counts_as_if_each_were_left_out(camera: CameraCalib
     missed = generator.normal(0.0, 0.3, (len(ids), 4))
     whole = np.linalg.lstsq(J.reshape(-1, 6), missed.ravel(), rcond=None)[0]
     errors = np.swapaxes((missed - J @ whole).reshape(len(ids), 2, 2), 0, 1)
-    wanted = np.zeros((6, 6))
+    expected = np.zeros((6, 6))
     for k in range(len(ids)):
         others = np.arange(len(ids)) != k
         left = np.linalg.lstsq(J[others].reshape(-1, 6), missed[others].ravel(), rcond=None)[0]
-        wanted += np.outer(whole - left, whole - left)
+        expected += np.outer(whole - left, whole - left)
     ones = np.ones((2, len(ids)))
     spread = pose_spread.of_points(known, ids, X, errors, ones, NOISE_PX)
     spread -= pose_spread.of_points(known, ids, X, np.zeros_like(errors), ones, NOISE_PX)
-    np.testing.assert_allclose(spread, wanted, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(spread, expected, rtol=1e-6, atol=1e-12)
 
 
 def test_the_keyframe_that_shows_what_is_near_holds_the_camera_aside(camera: CameraCalibration) -> None:

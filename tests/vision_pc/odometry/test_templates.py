@@ -36,13 +36,13 @@ def seen(image: Image, pixel: Array) -> Array:
 def test_patches_and_gradients_are_those_of_the_definition(picture: Image) -> None:
     made = Templates(picture, PIXELS, SIDE).patches()
     for n in (0, 1):
-        wanted = seen(picture, PIXELS[n])
+        expected = seen(picture, PIXELS[n])
         patch, gx, gy = made.patterns[n]
-        np.testing.assert_allclose(patch, wanted.ravel(), atol=1e-12)
+        np.testing.assert_allclose(patch, expected.ravel(), atol=1e-12)
         slope = np.zeros((SIDE, SIDE))
-        slope[1:-1, 1:-1] = 0.5 * (wanted[1:-1, 2:] - wanted[1:-1, :-2])
+        slope[1:-1, 1:-1] = 0.5 * (expected[1:-1, 2:] - expected[1:-1, :-2])
         slope -= slope.mean()
-        slope -= wanted * (slope * wanted).sum()
+        slope -= expected * (slope * expected).sum()
         np.testing.assert_allclose(gx, slope.ravel(), atol=1e-12)
         assert abs(gy @ patch) < 1e-12
         np.testing.assert_allclose(made.products[n], [gx @ gx, gx @ gy, gy @ gy], rtol=1e-10)

@@ -31,8 +31,8 @@ def test_projection_agrees_with_opencv(camera: CameraCalibration, distortion: np
     )
     points = np.random.default_rng(1).uniform([-1, -0.6, 0.8], [1, 0.6, 3], (50, 3))
     X_EC = se3.inverse(eye.X_CE)
-    wanted, _ = cv2.projectPoints(points, se3.log_so3(X_EC[:3, :3]), X_EC[:3, 3], eye.K, distortion)
-    np.testing.assert_allclose(intrinsics.project(eye, points), wanted.reshape(-1, 2), atol=1e-9)
+    expected, _ = cv2.projectPoints(points, se3.log_so3(X_EC[:3, :3]), X_EC[:3, 3], eye.K, distortion)
+    np.testing.assert_allclose(intrinsics.project(eye, points), expected.reshape(-1, 2), atol=1e-9)
 
 
 @pytest.mark.parametrize("distortion", [np.zeros(5), STRONG])

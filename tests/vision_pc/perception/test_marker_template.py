@@ -98,5 +98,5 @@ def test_markers_that_opencv_sees_and_cannot_read_are_read() -> None:
 
 def test_only_wanted_numbers_are_told() -> None:
     picture = picture_of(MarkerAspect(14.0))
-    wanted = frozenset(list(picture.corners)[:2])
-    assert {marker.number for marker in found_markers(picture.image, FAMILY, wanted)} == wanted
+    expected = frozenset(list(picture.corners)[:2])
+    assert {marker.number for marker in found_markers(picture.image, FAMILY, expected)} == expected

@@ -121,9 +121,9 @@ def test_a_lens_that_folds_over_is_refused(side: str) -> None:
     folded = eye.model_copy(update={"distortion": (-0.9, 0.0, 0.0, 0.0, 0.0)})
     with pytest.raises(
         ConfigurationError, match=rf"{side}\.distortion = .* folds over .*another lens"
-    ) as told:
+    ) as refused:
         Rectifier(calibration.model_copy(update={side: folded}))
-    assert told.value.cause == "configuration.lens_folds"
+    assert refused.value.cause == "configuration.lens_folds"
 
 
 def test_each_lens_has_its_coefficients_named() -> None:

@@ -79,13 +79,13 @@ def test_a_view_that_disagrees_is_left_out_by_name() -> None:
 
 def test_too_few_and_too_alike_views_are_refused_by_name() -> None:
     views = views_of(5, 10)
-    with pytest.raises(RequestRefused, match="7 pairs show the board in both eyes, at least 8") as told:
+    with pytest.raises(RequestRefused, match="7 pairs show the board in both eyes, at least 8") as refused:
         stereo_fit.fit(views[:7], SIZE, LensModel.BROWN_CONRADY, "drawn")
-    assert told.value.cause == "refused.camera.too_few_views"
+    assert refused.value.cause == "refused.camera.too_few_views"
     again = [views[k % 3]._replace(name=f"copy {k}") for k in range(12)]
-    with pytest.raises(RequestRefused, match=r"only 3 of 12 .* alike are copy 3, copy 4.*move") as told:
+    with pytest.raises(RequestRefused, match=r"only 3 of 12 .* alike are copy 3, copy 4.*move") as refused:
         stereo_fit.fit(again, SIZE, LensModel.BROWN_CONRADY, "drawn")
-    assert told.value.cause == "refused.camera.views_alike"
+    assert refused.value.cause == "refused.camera.views_alike"
 
 
 def test_a_board_in_one_corner_is_refused_and_told_where_to_go() -> None:
@@ -97,24 +97,24 @@ def test_a_board_in_one_corner_is_refused_and_told_where_to_go() -> None:
         seen = view_at(f"{len(views)}", se3.transform(R, where - R @ BOARD.mean(axis=0)), rng)
         if seen is not None:
             views.append(seen)
-    with pytest.raises(RequestRefused, match=r"hold it also to the .*lower right") as told:
+    with pytest.raises(RequestRefused, match=r"hold it also to the .*lower right") as refused:
         stereo_fit.fit(views, SIZE, LensModel.BROWN_CONRADY, "drawn")
-    assert told.value.cause == "refused.camera.poor_coverage"
+    assert refused.value.cause == "refused.camera.poor_coverage"
 
 
 def test_boards_that_are_never_tilted_are_refused() -> None:
-    with pytest.raises(RequestRefused, match="tilt the board") as told:
+    with pytest.raises(RequestRefused, match="tilt the board") as refused:
         stereo_fit.fit(views_of(7, 16, tilt_deg=2.0), SIZE, LensModel.BROWN_CONRADY, "drawn")
-    assert told.value.cause == "refused.camera.no_tilt"
+    assert refused.value.cause == "refused.camera.no_tilt"
 
 
 def test_a_fit_with_large_errors_is_no_camera() -> None:
     rng = np.random.default_rng(8)
     off = rng.normal(size=(2, 54, 2)) * 3.0
     views = [v._replace(left=v.left + off[0], right=v.right - off[1]) for v in views_of(8, 12)]
-    with pytest.raises(MeasurementFailed, match="not flat, or eyes not exposed together") as told:
+    with pytest.raises(MeasurementFailed, match="not flat, or eyes not exposed together") as refused:
         stereo_fit.fit(views, SIZE, LensModel.BROWN_CONRADY, "drawn")
-    assert told.value.cause == "measurement.camera.poor_fit"
+    assert refused.value.cause == "measurement.camera.poor_fit"
 
 
 def test_only_corners_that_both_eyes_see_are_used() -> None:

@@ -83,8 +83,8 @@ async def test_lengths_by_an_offset_that_nothing_tells_are_as_unsure_as_the_look
 
     def told(std_px: float) -> Array:
         seen = look._replace(cov_CO=cov_CO, offset=StereoOffset(0.0, 0.0, std_px, 0.01))
-        wanted = PlannedStep(x, covariance, 0.9, 4)
-        return predicted_end(seen, fitted, track, wanted, PROGRAMS.positioning, adapting()).covariance
+        expected = PlannedStep(x, covariance, 0.9, 4)
+        return predicted_end(seen, fitted, track, expected, PROGRAMS.positioning, adapting()).covariance
 
     assert np.array_equal(told(0.05), told(0.15))
     wider = told(3.5) - told(0.05)

@@ -16,7 +16,7 @@ _ELLIPSE_POINTS = 48
 JSON = dict[str, Any]
 
 
-class ToldEllipse(NamedTuple):
+class PredictedEllipse(NamedTuple):
     """The 95 % ellipse of the error in camera axes: mean (x, y), half axes (m), angle of the first (rad)."""
 
     mean_m: tuple[float, float]
@@ -25,7 +25,7 @@ class ToldEllipse(NamedTuple):
     angle: float
 
 
-def overlay(seen: Seen, clearance_m: float, tolerance_m: float, told: ToldEllipse | None) -> JSON:
+def overlay(seen: Seen, clearance_m: float, tolerance_m: float, predicted: PredictedEllipse | None) -> JSON:
     """Outlines, axes, the error as an arrow, the tolerance and the told ellipse; px, none where not seen."""
     observation, camera, tool_id = seen
     X_CM, X_CO = observation.X_CM, observation.X_CO
@@ -49,17 +49,19 @@ def overlay(seen: Seen, clearance_m: float, tolerance_m: float, told: ToldEllips
     }
     if X_CO is not None:
         aim = X_CO[:3, 3] - np.array([0.0, 0.0, clearance_m])
-        drawn["aim"] = _aim(camera, aim, tolerance_m, told)
+        drawn["aim"] = _aim(camera, aim, tolerance_m, predicted)
         if X_CM is not None:
             drawn["error_mm"] = [round(1e3 * float(v), 2) for v in aim - X_CM[:3, 3]]
     return drawn
 
 
-def _aim(camera: CameraCalibration, aim: Array, tolerance_m: float, told: ToldEllipse | None) -> JSON:
+def _aim(
+    camera: CameraCalibration, aim: Array, tolerance_m: float, predicted: PredictedEllipse | None
+) -> JSON:
     """Where the tool marker's centre shall be, the square of ±tolerance around it, the told ellipse."""
     square = aim + tolerance_m * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     at = _pixels(camera, aim[None])
-    ellipse = None if told is None else _pixels(camera, aim - _around(told))  # e = aim − p_CM
+    ellipse = None if predicted is None else _pixels(camera, aim - _around(predicted))  # e = aim − p_CM
     return {
         "at": None if at is None else at[0],
         "square": _pixels(camera, square),
@@ -67,12 +69,12 @@ def _aim(camera: CameraCalibration, aim: Array, tolerance_m: float, told: ToldEl
     }
 
 
-def _around(told: ToldEllipse) -> Array:
+def _around(predicted: PredictedEllipse) -> Array:
     """Points (n, 3) of the ellipse of the error."""
     t = np.linspace(0.0, 2.0 * math.pi, _ELLIPSE_POINTS, endpoint=False)
-    c, s = math.cos(told.angle), math.sin(told.angle)
-    u, v = told.major_m * np.cos(t), told.minor_m * np.sin(t)
-    x, y = told.mean_m[0] + c * u - s * v, told.mean_m[1] + s * u + c * v
+    c, s = math.cos(predicted.angle), math.sin(predicted.angle)
+    u, v = predicted.major_m * np.cos(t), predicted.minor_m * np.sin(t)
+    x, y = predicted.mean_m[0] + c * u - s * v, predicted.mean_m[1] + s * u + c * v
     return np.column_stack([x, y, np.zeros_like(t)])
 
 

@@ -10,7 +10,7 @@ from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
 from protocol.reference_messages import FLAG_PLANT_LINK_OK, State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import HIGH, LOW, URGENT, AlarmList, Condition, alarm_json, skeleton
-from vision_pc.application.console.overlay import ToldEllipse, overlay
+from vision_pc.application.console.overlay import PredictedEllipse, overlay
 from vision_pc.application.ports import CameraStatus, Seen
 from vision_pc.application.results import JSON, JudgedLook, calibration_json, look_json, pose_json
 from vision_pc.core.calibration.local_calibration import LocalCalibration
@@ -99,8 +99,8 @@ class Overview:
             self._times_anew, self.anew_at = seen.times_anew, now_s
             self.alarms.happened(now_s, "machine.begun_anew", _ANEW)
 
-    def document(self, seen: Glimpse, told: ToldEllipse | None) -> JSON:
-        """The document of one glimpse. ``told``: the ellipse of the newest drive, where it still holds."""
+    def document(self, seen: Glimpse, predicted: PredictedEllipse | None) -> JSON:
+        """The document of one glimpse. ``predicted``: that of the newest motion, where it still holds."""
         calibration = None
         if seen.calibration is not None:
             whole = calibration_json(seen.calibration)
@@ -125,7 +125,7 @@ class Overview:
             "tracked": seen.tracked,
             "anew_at": self.anew_at,
             "tolerance_mm": 1e3 * seen.tolerance_m,
-            "overlay": None if view is None else overlay(view, seen.clearance_m, seen.tolerance_m, told),
+            "overlay": None if view is None else overlay(view, seen.clearance_m, seen.tolerance_m, predicted),
             "alarms": [alarm_json(alarm) for alarm in self.alarms.rows[:_ALARMS_SHOWN]],
         }
 
@@ -162,16 +162,16 @@ def told_by(kind: str, result: Mapping[str, Any] | None) -> JSON | None:
     if kind != "look-then-move" or result is None:
         return None
     steps = result.get("steps") or []
-    told: JSON | None = result.get("seen") or (steps[-1]["expected"] if steps else None)
-    return told
+    predicted: JSON | None = result.get("seen") or (steps[-1]["expected"] if steps else None)
+    return predicted
 
 
-def ellipse_of(told: JSON | None) -> ToldEllipse | None:
+def ellipse_of(predicted: JSON | None) -> PredictedEllipse | None:
     """The ellipse of what was told."""
-    if told is None:
+    if predicted is None:
         return None
-    ellipse, mean = told["ellipse_95_mm"], told["mean_mm"]
-    return ToldEllipse(
+    ellipse, mean = predicted["ellipse_95_mm"], predicted["mean_mm"]
+    return PredictedEllipse(
         (1e-3 * mean["x"], 1e-3 * mean["y"]),
         1e-3 * ellipse["major"],
         1e-3 * ellipse["minor"],

@@ -49,7 +49,7 @@ class ClickBody(BaseModel):
 
 
 def target_json(
-    kept: KeptTarget,
+    target: KeptTarget,
     keeper: TargetKeeper,
     settings: PositioningSettings,
     p_CM: Array | None,
@@ -59,25 +59,25 @@ def target_json(
     arm stands unwatched, None where somebody watches.
     """
     aimed = keeper.aimed
-    step = None if p_CM is None else kept.X_CO[:3, 3] - p_CM - np.array([0.0, 0.0, settings.clearance_m])
+    step = None if p_CM is None else target.X_CO[:3, 3] - p_CM - np.array([0.0, 0.0, settings.clearance_m])
     length = None if step is None else float(np.linalg.norm(step))
     return {
-        "id": kept.id,
-        "kind": kept.kind,
-        "known": kept.known if X_BT is None else keeper.known_at(kept, X_BT),
-        "aimed": aimed is not None and aimed.id == kept.id,
-        "recognised": _in_words(kept.kind, kept.diameter_m),
-        "frame_id": kept.frame_id,
-        "X_CO": pose_json(kept.X_CO),
-        "X_BO": None if kept.X_BO is None else pose_json(kept.X_BO),
-        "normal_C": [round(float(v), 6) for v in kept.X_CO[:3, 2]],
-        "std_mm": xyz(np.sqrt(np.diag(kept.covariance)[:3])),
-        "std_sight_mm": _by_the_sight(kept),
-        "std_deg": degrees(np.sqrt(np.diag(kept.covariance)[3:])),
-        "diameter_mm": None if kept.diameter_m is None else round(1e3 * kept.diameter_m, 2),
-        "quality": round(kept.quality, 3),
-        "outline": _pixels(kept.outline),
-        "carried_mm": round(1e3 * kept.way_m, 1),
+        "id": target.id,
+        "kind": target.kind,
+        "known": target.known if X_BT is None else keeper.known_at(target, X_BT),
+        "aimed": aimed is not None and aimed.id == target.id,
+        "recognised": _in_words(target.kind, target.diameter_m),
+        "frame_id": target.frame_id,
+        "X_CO": pose_json(target.X_CO),
+        "X_BO": None if target.X_BO is None else pose_json(target.X_BO),
+        "normal_C": [round(float(v), 6) for v in target.X_CO[:3, 2]],
+        "std_mm": xyz(np.sqrt(np.diag(target.covariance)[:3])),
+        "std_sight_mm": _by_the_sight(target),
+        "std_deg": degrees(np.sqrt(np.diag(target.covariance)[3:])),
+        "diameter_mm": None if target.diameter_m is None else round(1e3 * target.diameter_m, 2),
+        "quality": round(target.quality, 3),
+        "outline": _pixels(target.outline),
+        "carried_mm": round(1e3 * target.way_m, 1),
         "distance_mm": None if length is None else round(1e3 * length, 1),
         "reachable": None if length is None else length <= settings.step_limit_m,
     }
@@ -105,9 +105,9 @@ def candidate_json(candidate: Candidate) -> JSON:
     }
 
 
-def _by_the_sight(kept: KeptTarget) -> JSON:
+def _by_the_sight(target: KeptTarget) -> JSON:
     """Standard deviations across the line of sight (the worst) and along it."""
-    place, ray = kept.covariance[:3, :3], kept.X_CO[:3, 3] / np.linalg.norm(kept.X_CO[:3, 3])
+    place, ray = target.covariance[:3, :3], target.X_CO[:3, 3] / np.linalg.norm(target.X_CO[:3, 3])
     beside = np.eye(3) - np.outer(ray, ray)
     across = math.sqrt(float(np.linalg.eigvalsh(beside @ place @ beside)[-1]))
     along = math.sqrt(float(ray @ place @ ray))

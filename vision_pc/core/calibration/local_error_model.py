@@ -223,7 +223,7 @@ def fit_error_model(
     h = backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
     columns = _columns(track.X_BT, h, track.X_BT_now, dimensions)
     Phi = columns.reshape(-1, columns.shape[2])
-    wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
+    target = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
     prior = _prior(settings)
     if settings.delay_std_s > 0.0:
@@ -233,8 +233,8 @@ def fit_error_model(
     for _ in range(_ROUNDS):  # reweighted: a glitch of odometry must not bend the map
         weighted = Phi * (np.repeat(weights, 3) / std**2)[:, None]
         covariance = np.asarray(np.linalg.inv(weighted.T @ Phi + precision), dtype=np.float64)
-        theta = covariance @ (weighted.T @ wanted)
-        misfit = (wanted - Phi @ theta).reshape(-1, 3)
+        theta = covariance @ (weighted.T @ target)
+        misfit = (target - Phi @ theta).reshape(-1, 3)
         weights = 1.0 / np.maximum(1.0, np.linalg.norm(misfit / std.reshape(-1, 3), axis=1) / 4.0)
     residual = float(np.sqrt((weights * (misfit**2).sum(axis=1)).mean()))
     if residual > settings.residual_limit_m:
@@ -253,14 +253,14 @@ def fit_error_model(
 
 def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:
     """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B)."""
-    wanted = fitted.R @ d
+    target = fitted.R @ d
     here = fitted.X_BT
-    x, columns = wanted, np.zeros((3, len(fitted.theta)))
+    x, columns = target, np.zeros((3, len(fitted.theta)))
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
         columns = _columns(goal[None], _TAKEN_UP, here, fitted.dimensions)[0]
         columns[:, _OFFSET] = 0.0  # the offset is the error of the track's end alone
-        x = wanted - columns @ fitted.theta
+        x = target - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
 
 

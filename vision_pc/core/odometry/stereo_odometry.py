@@ -254,14 +254,14 @@ class StereoOdometry:
         """``found``, with a new keyframe where few of ``keyframe``'s points are left in view. Those that a
         shadow hides are not gone: each new keyframe stands where few points hold it, and the path with it.
         """
-        wanted = self._settings.keyframe_overlap * len(keyframe.ids)
-        if len(found.ids) < wanted and not self._other_light:
+        needed = self._settings.keyframe_overlap * len(keyframe.ids)
+        if len(found.ids) < needed and not self._other_light:
             shaded = self._localiser.localise(
                 frame, keyframe, found.X_C0C, self._both_eyes(), foreseen, other_light=True
             )
             if isinstance(shaded, PoseEstimate) and len(shaded.ids) > len(found.ids):
                 found, self._other_light = shaded, True
-        return self._add_keyframe(frame, keyframe, found) if len(found.ids) < wanted else found
+        return self._add_keyframe(frame, keyframe, found) if len(found.ids) < needed else found
 
     def _both_eyes(self) -> bool:
         """Whether the right eye's turn has come."""

@@ -33,20 +33,20 @@ class MeanPose(NamedTuple):
 
 def robust_mean(
     measured: list[tuple[Array | None, Array | None, Array | None]],
-    wanted: int,
+    needed: int,
     what: str,
     huber: float,
     reason: str = "not_seen",
 ) -> tuple[MeanPose, int]:
-    """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``.
+    """The mean of the poses that were measured, and how many they are; raises when fewer than ``needed``.
 
     Raises MeasurementFailed: ``measurement.{what}_{reason}``.
     """
     seen = [(X, C, B) for X, C, B in measured if X is not None and C is not None and B is not None]
-    if len(seen) < wanted:
+    if len(seen) < needed:
         raise MeasurementFailed(
             f"measurement.{what}_{reason}",
-            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {wanted} are wanted"
+            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {needed} are wanted"
             + ("" if reason == "not_seen" else f"; elsewhere {reason.replace('_', ' ')}"),
         )
     information = [np.asarray(np.linalg.inv(C), dtype=np.float64) for _, C, _ in seen]
@@ -215,9 +215,9 @@ def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservatio
         region = _region(
             pair.left, np.concatenate([m.corners_left for m in before]), settings.region_margin_px
         )
-        wanted = frozenset(m.marker_id for m in before)
-        rough, counts = markers.detect(pair.left, settings, region, wanted)
-        if wanted <= rough.keys():
+        needed = frozenset(m.marker_id for m in before)
+        rough, counts = markers.detect(pair.left, settings, region, needed)
+        if needed <= rough.keys():
             return _Found(rough, counts, since)
     return _Found(*markers.detect(pair.left, settings), 0)
 

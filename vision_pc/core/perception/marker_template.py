@@ -71,7 +71,7 @@ def _fit_template(
     quad, shown = corners.copy(), cells.copy()
     light = _first_light(image, quad)
     blur, damping = 0.7, 1e-3
-    before, normal, right, likeness, wanted = _linearised(image, quad, shown, blur, light)
+    before, normal, right, likeness, corrections = _linearised(image, quad, shown, blur, light)
     if not math.isfinite(before):
         return quad, math.nan, 0.0, blur, shown
     for _ in range(_STEPS):
@@ -86,14 +86,14 @@ def _fit_template(
         tried = quad + step[:8].copy().reshape(4, 2)
         tried_blur = min(max(blur + step[8], _LEAST_BLUR), _MOST_BLUR)
         tried_light = light + step[9:]
-        tried_cells = shown if known else _clipped(shown + wanted)
+        tried_cells = shown if known else _clipped(shown + corrections)
         cost, tried_normal, tried_right, alike, missing = _linearised(
             image, tried, tried_cells, tried_blur, tried_light
         )
         if cost < before:
             better = before - cost
             quad, blur, light, shown = tried, tried_blur, tried_light, tried_cells
-            normal, right, likeness, wanted = tried_normal, tried_right, alike, missing
+            normal, right, likeness, corrections = tried_normal, tried_right, alike, missing
             damping = max(0.2 * damping, 1e-6)
             before = cost
             if moved < _CONVERGED and better < 1e-3 * cost:
@@ -111,13 +111,13 @@ def _linearised(
     """Mean squared difference, normal matrix and right side of the step, likeness, change of each cell."""
     count = len(cells)
     normal, right = np.zeros((_PARAMETERS, _PARAMETERS)), np.zeros(_PARAMETERS)
-    wanted, weights = np.zeros((count, count)), np.zeros((count, count))
+    corrections, weights = np.zeros((count, count)), np.zeros((count, count))
     margin = 3.0 * math.sqrt(blur) + 2.0 + np.abs(quad[2] - quad[0]).max() * _QUIET / count
     x0, y0 = int(max(quad[:, 0].min() - margin, 0.0)), int(max(quad[:, 1].min() - margin, 0.0))
     x1 = int(min(quad[:, 0].max() + margin + 1.0, image.shape[1]))
     y1 = int(min(quad[:, 1].max() + margin + 1.0, image.shape[0]))
     if x1 - x0 < 5 or y1 - y0 < 5 or not _is_convex(quad):
-        return math.inf, normal, right, 0.0, wanted
+        return math.inf, normal, right, 0.0, corrections
     to_pixels = _homography(quad)
     back: Array = np.linalg.inv(to_pixels).astype(np.float64)
     blurred = _softened(_pattern(back, cells, x0, y0, y1 - y0, x1 - x0), _weights(blur))
@@ -126,14 +126,14 @@ def _linearised(
     sums = np.zeros(6)  # number, data, model, data², model², data model
     window = image[y0:y1, x0:x1]
     views = np.concatenate([to_pixels[None], back[None], _perturbed_homographies(quad)])
-    _summed(window, blurred, views, (x0, y0), light, seen, (normal, right, wanted, weights, sums))
+    _summed(window, blurred, views, (x0, y0), light, seen, (normal, right, corrections, weights, sums))
     if sums[0] < 2.0 * _PARAMETERS:
-        return math.inf, normal, right, 0.0, wanted
+        return math.inf, normal, right, 0.0, corrections
     normal = normal + np.triu(normal, 1).T
     spread = (sums[3] - sums[1] ** 2 / sums[0]) * (sums[4] - sums[2] ** 2 / sums[0])
     likeness = (sums[5] - sums[1] * sums[2] / sums[0]) / math.sqrt(max(spread, 1e-9))
     cost = (sums[3] - 2.0 * sums[5] + sums[4]) / sums[0]
-    return cost, normal, right, likeness, wanted / np.maximum(weights, 1.0)
+    return cost, normal, right, likeness, corrections / np.maximum(weights, 1.0)
 
 
 @kernel(nogil=True, error_model="numpy")
@@ -149,9 +149,9 @@ def _summed(
     """Add every pixel of the marker to ``into``: normal matrix (its upper half), right side, missing light
     and number of pixels of each cell, sums.
     """
-    normal, right, wanted, weights, sums = into
+    normal, right, corrections, weights, sums = into
     back = views[1]
-    count = len(wanted)
+    count = len(corrections)
     row = np.empty(_PARAMETERS)
     for i in range(1, window.shape[0] - 1):
         for j in range(1, window.shape[1] - 1):
@@ -167,7 +167,7 @@ def _summed(
                     normal[k, other] += row[k] * row[other]
             if max(abs(X), abs(Y)) < 0.5:
                 at, along = _cell(Y, count), _cell(X, count)
-                wanted[at, along] += off / max(gain, 1.0)
+                corrections[at, along] += off / max(gain, 1.0)
                 weights[at, along] += 1.0
             terms = (1.0, value, shown, value * value, shown * shown, value * shown)
             for k in range(6):

@@ -52,15 +52,15 @@ def detect(
     image: Image,
     settings: MarkerSettings,
     region: Region | None = None,
-    wanted: frozenset[int] | None = None,
+    requested: frozenset[int] | None = None,
 ) -> tuple[dict[int, Array], Counter[str]]:
     """Known markers in ``image`` by number, (4, 2) rough pixels (half a pixel and more), and counts of
     refusals.
 
-    Only inside ``region`` if one is given. Where one of the ``wanted`` numbers (None: of all that are known)
-    is not read, the picture's logarithm is searched too: where a shadow crosses a marker, its white in the
-    shade is nearer to black than to white in the light, but not by its ratio. Markers of other numbers are
-    counted as ``unknown_id``; a number that appears twice is trusted in neither place and counted as
+    Only inside ``region`` if one is given. Where one of the ``requested`` numbers (None: of all that are
+    known) is not read, the picture's logarithm is searched too: where a shadow crosses a marker, its white in
+    the shade is nearer to black than to white in the light, but not by its ratio. Markers of other numbers
+    are counted as ``unknown_id``; a number that appears twice is trusted in neither place and counted as
     ``repeated_id``.
     """
     x0, y0, x1, y1 = region or (0, 0, image.shape[1], image.shape[0])
@@ -68,7 +68,7 @@ def detect(
         return {}, Counter()
     part, begin = image[y0:y1, x0:x1], np.array([x0, y0])
     corners, refused, repeated = _read_markers(part, settings)
-    if not (settings.sizes.keys() if wanted is None else wanted) <= corners.keys():
+    if not (settings.sizes.keys() if requested is None else requested) <= corners.keys():
         more, also_refused, also_repeated = _read_markers(_even_light(part), settings)
         corners, refused, repeated = more | corners, refused | also_refused, repeated | also_repeated
     return {number: quad + begin for number, quad in corners.items() if number not in repeated}, refused

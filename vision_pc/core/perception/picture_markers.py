@@ -51,33 +51,33 @@ class PictureMarker(NamedTuple):
 
 
 def found_markers(
-    image: Image, dictionary: str, wanted: frozenset[int] = frozenset(), window_px: int = 13
+    image: Image, dictionary: str, requested: frozenset[int] = frozenset(), window_px: int = 13
 ) -> list[PictureMarker]:
     """The markers in ``image``, by number and place, smaller ones than ``LEAST_SIDE_PX`` left out.
 
-    With ``wanted`` numbers only these are given, and other threshold windows than ``window_px`` are tried
+    With ``requested`` numbers only these are given, and other threshold windows than ``window_px`` are tried
     only while one of them is missing; without, all windows are tried.
     """
     book = _book(dictionary)
     markers: list[PictureMarker] = []
     unread: list[Array] = []
     for window, darker in ((window_px, _USUAL), *((other, _SENSITIVE) for other in _WINDOWS)):
-        if wanted and wanted <= {marker.number for marker in markers}:
+        if requested and requested <= {marker.number for marker in markers}:
             break
         quads, ids, rejected = _detector(dictionary, window, darker).detectMarkers(image)
         for number, quad in zip([] if ids is None else ids.ravel(), quads, strict=True):
             place = quad.reshape(4, 2).astype(np.float64)
-            if (not wanted or int(number) in wanted) and not _is_known(markers, int(number), place):
+            if (not requested or int(number) in requested) and not _is_known(markers, int(number), place):
                 markers.append(refined(image, int(number), place, _cells(book, int(number))))
         unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
-    if not wanted or not wanted <= {marker.number for marker in markers}:
-        markers += _read_quads(image, unread, markers, book, wanted)
-    kept = [
+    if not requested or not requested <= {marker.number for marker in markers}:
+        markers += _read_quads(image, unread, markers, book, requested)
+    unique = [
         marker
         for marker in markers
         if marker.side_px >= LEAST_SIDE_PX and looks_right(image, marker, _cells(book, marker.number))
     ]
-    return sorted(kept, key=lambda marker: (marker.number, *marker.corners[0]))
+    return sorted(unique, key=lambda marker: (marker.number, *marker.corners[0]))
 
 
 def _read_quads(
@@ -85,7 +85,7 @@ def _read_quads(
     quads: list[Array],
     markers: list[PictureMarker],
     book: cv2.aruco.Dictionary,
-    wanted: frozenset[int],
+    requested: frozenset[int],
 ) -> list[PictureMarker]:
     """Markers in squares that the detector could not read, where their cells, fitted, have a number."""
     found: list[PictureMarker] = []
@@ -94,7 +94,7 @@ def _read_quads(
             continue
         for start in (quad, _grown(quad)):
             marker = _read_one(image, start, book)
-            if marker is not None and (not wanted or marker.number in wanted):
+            if marker is not None and (not requested or marker.number in requested):
                 found.append(marker)
                 break
     return found

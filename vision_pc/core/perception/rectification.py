@@ -36,15 +36,15 @@ class RawLens(NamedTuple):
 
     def undistorted(self, pixels: Array) -> Array:
         """Image coordinates x/z, y/z (n, 2) of raw ``pixels`` (n, 2): Newton's method on ``project``."""
-        wanted = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        rays = (wanted - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        expected = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        rays = (expected - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
         if self.fisheye:
-            found = cv2.fisheye.undistortPoints(wanted[:, None], self.K, self.distortion)
+            found = cv2.fisheye.undistortPoints(expected[:, None], self.K, self.distortion)
             rays = np.asarray(found, dtype=np.float64).reshape(-1, 2)
         for _ in range(_NEWTON_STEPS):
             slopes = [(self._pixels_of(rays + step) - self._pixels_of(rays - step)) / (2.0 * _STEP)
                       for step in _STEP * np.eye(2)]  # fmt: skip
-            error = wanted - self._pixels_of(rays)
+            error = expected - self._pixels_of(rays)
             rays = rays + np.linalg.solve(np.stack(slopes, axis=-1), error[..., None])[..., 0]
         return np.asarray(rays, dtype=np.float64)
 
@@ -178,13 +178,13 @@ class Rectifier:
         return pair._replace(left=both[0], right=both[1])
 
 
-def refuse_size(picture: Image, wanted: tuple[int, int], whose: str) -> None:
-    """Raises FrameRefused (``frame.wrong_size``) for a picture that is not ``wanted`` (width, height)."""
+def refuse_size(picture: Image, expected: tuple[int, int], whose: str) -> None:
+    """Raises FrameRefused (``frame.wrong_size``) for a picture that is not ``expected`` (width, height)."""
     height, width = picture.shape[:2]
-    if (width, height) != wanted:
+    if (width, height) != expected:
         raise FrameRefused(
             "frame.wrong_size",
-            f"pictures of {width}x{height} px an eye came, {wanted[0]}x{wanted[1]} are wanted ({whose})",
+            f"pictures of {width}x{height} px an eye came, {expected[0]}x{expected[1]} are wanted ({whose})",
         )
 
 

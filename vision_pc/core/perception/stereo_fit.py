@@ -88,11 +88,11 @@ def paired(left: BoardView, right: BoardView) -> PairView:
 
 def distinct(views: Sequence[PairView]) -> list[PairView]:
     """``views`` without those that show the board where an earlier one does."""
-    kept: list[PairView] = []
+    chosen: list[PairView] = []
     for view in views:
-        if all(_differ(view, other) for other in kept):
-            kept.append(view)
-    return kept
+        if all(_differ(view, other) for other in chosen):
+            chosen.append(view)
+    return chosen
 
 
 def _differ(one: PairView, other: PairView) -> bool:
@@ -137,17 +137,17 @@ def fit(views: Sequence[PairView], size: tuple[int, int], lens: LensModel, sourc
     if lens is LensModel.FISHEYE:
         why = "lens fisheye: such files are read, but boards are fitted with brown-conrady or rational"
         raise RequestRefused("refused.camera.lens", why)
-    kept = _worth_fitting(views, size)
-    raw = _stereo(kept, size, lens)
+    chosen = _worth_fitting(views, size)
+    raw = _stereo(chosen, size, lens)
     bad = raw.view_rms_px > _OUTLYING * float(np.median(raw.view_rms_px))
-    left_out = tuple(view.name for view, out in zip(kept, bad, strict=True) if out)
-    if left_out and len(kept) - len(left_out) >= LEAST_VIEWS:
-        kept = [view for view, out in zip(kept, bad, strict=True) if not out]
-        raw = _stereo(kept, size, lens)
+    left_out = tuple(view.name for view, out in zip(chosen, bad, strict=True) if out)
+    if left_out and len(chosen) - len(left_out) >= LEAST_VIEWS:
+        chosen = [view for view, out in zip(chosen, bad, strict=True) if not out]
+        raw = _stereo(chosen, size, lens)
     else:
         left_out = ()
     if raw.rms_px > _LARGEST_RMS_PX:
-        worst = kept[int(np.argmax(raw.view_rms_px))].name
+        worst = chosen[int(np.argmax(raw.view_rms_px))].name
         raise MeasurementFailed(
             "measurement.camera.poor_fit",
             f"{source}: corners are {raw.rms_px:.2f} px rms off the best camera, at most "
@@ -161,10 +161,10 @@ def fit(views: Sequence[PairView], size: tuple[int, int], lens: LensModel, sourc
             f"{source}: the boards differ by {tilt:.0f} degrees at most, {_LEAST_TILT_DEG:g} are wanted: "
             "tilt the board, or the focal length stays open",
         )
-    counts = covered(kept, size)
+    counts = covered(chosen, size)
     return StereoFit(
-        _calibration(kept, raw, size, lens, source),
-        tuple(view.name for view in kept),
+        _calibration(chosen, raw, size, lens, source),
+        tuple(view.name for view in chosen),
         raw.view_rms_px,
         left_out,
         (empty_places(counts[0]), empty_places(counts[1])),
@@ -178,16 +178,16 @@ def _worth_fitting(views: Sequence[PairView], size: tuple[int, int]) -> list[Pai
             "refused.camera.too_few_views",
             f"{len(views)} pairs show the board in both eyes, at least {LEAST_VIEWS} are needed, better 20",
         )
-    kept = distinct(views)
-    if len(kept) < LEAST_VIEWS:
-        alike = [view.name for view in views if all(view is not one for one in kept)]
+    chosen = distinct(views)
+    if len(chosen) < LEAST_VIEWS:
+        alike = [view.name for view in views if all(view is not one for one in chosen)]
         raise RequestRefused(
             "refused.camera.views_alike",
-            f"only {len(kept)} of {len(views)} views differ by more than {_ALIKE_PX:g} px, at least "
+            f"only {len(chosen)} of {len(views)} views differ by more than {_ALIKE_PX:g} px, at least "
             f"{LEAST_VIEWS} are needed; alike are {', '.join(alike[:6])}{' …' if len(alike) > 6 else ''}: "
             "move the board between pictures",
         )
-    for name, counts in zip(("left", "right"), covered(kept, size), strict=True):
+    for name, counts in zip(("left", "right"), covered(chosen, size), strict=True):
         share = float((counts > 0).mean())
         if share < _LEAST_COVERED:
             raise RequestRefused(
@@ -195,7 +195,7 @@ def _worth_fitting(views: Sequence[PairView], size: tuple[int, int]) -> list[Pai
                 f"the board was in {share:.0%} of the {name} picture, {_LEAST_COVERED:.0%} is needed; "
                 f"hold it also to the {', '.join(empty_places(counts))}",
             )
-    return kept
+    return chosen
 
 
 def _stereo(views: Sequence[PairView], size: tuple[int, int], lens: LensModel) -> _Raw:

@@ -122,15 +122,15 @@ class TargetKeeper:
     def add(self, seen: TargetObservation, frame_id: int, X_BT: Array, X_BO: Array | None) -> KeptTarget:
         """Keep a new one and aim at it; the oldest goes where there would be too many."""
         self._made += 1
-        kept = KeptTarget(
+        target = KeptTarget(
             f"t{self._made}", seen.kind, seen.X_CO, seen.covariance, seen.diameter_m, seen.quality,
             seen.outline, frame_id, X_BT, X_BO,
         )  # fmt: skip
-        self._all[kept.id] = kept
-        self._aimed = kept.id
+        self._all[target.id] = target
+        self._aimed = target.id
         while len(self._all) > _MOST:
             self._all.popitem(last=False)
-        return kept
+        return target
 
     def remove(self, target_id: str) -> None:
         """Forget one. Raises as ``get``."""
@@ -141,12 +141,12 @@ class TargetKeeper:
 
     def looked(self, X_CO: Array, covariance: Array, X_BT: Array, measured: bool) -> None:
         """Note what a look saw of the target that is aimed at."""
-        kept = self.aimed
-        if kept is None:
+        target = self.aimed
+        if target is None:
             return
-        kept.X_CO, kept.covariance, kept.X_BT = X_CO, covariance, X_BT
+        target.X_CO, target.covariance, target.X_BT = X_CO, covariance, X_BT
         if measured:
-            kept.known, kept.way_m = "measured", 0.0
+            target.known, target.way_m = "measured", 0.0
 
     def carry(self, X_C0C: Array | None, X_BT_before: Array, X_BT: Array) -> None:
         """The camera went from C0, where the arm stood at ``X_BT_before``, to C; None: nobody knows where.
@@ -154,40 +154,40 @@ class TargetKeeper:
         An arm that stands where it stood has lost nothing.
         """
         gone = _apart(X_BT_before, X_BT)
-        for kept in self._all.values():
-            if _apart(kept.X_BT, X_BT_before) or (X_C0C is None and gone):
-                kept.known = "lost"
+        for target in self._all.values():
+            if _apart(target.X_BT, X_BT_before) or (X_C0C is None and gone):
+                target.known = "lost"
                 continue
             if X_C0C is None:  # such as a motion that was refused
                 continue
-            if kept.known == "lost":
+            if target.known == "lost":
                 continue
             X_CC0 = se3.inverse(X_C0C)
             way = float(np.linalg.norm(X_C0C[:3, 3]))
             turn = np.zeros((6, 6))
             turn[:3, :3] = turn[3:, 3:] = X_CC0[:3, :3]
             std = self._settings.carried_std_m + self._settings.carried_std * way
-            reach = float(np.linalg.norm(kept.X_CO[:3, 3]))
+            reach = float(np.linalg.norm(target.X_CO[:3, 3]))
             more = np.diag([std**2] * 3 + [(std / max(reach, 0.3)) ** 2] * 3)
-            kept.X_CO = X_CC0 @ kept.X_CO
-            kept.covariance = turn @ kept.covariance @ turn.T + more
-            kept.X_BT, kept.known, kept.way_m = X_BT, "carried", kept.way_m + way
+            target.X_CO = X_CC0 @ target.X_CO
+            target.covariance = turn @ target.covariance @ turn.T + more
+            target.X_BT, target.known, target.way_m = X_BT, "carried", target.way_m + way
 
-    def known_at(self, kept: KeptTarget, X_BT: Array) -> Known:
+    def known_at(self, target: KeptTarget, X_BT: Array) -> Known:
         """How its place is known while the arm stands at ``X_BT``, where nobody has watched it go."""
-        return "lost" if _apart(kept.X_BT, X_BT) else kept.known
+        return "lost" if _apart(target.X_BT, X_BT) else target.known
 
     def lose(self) -> None:
         """Nobody knows any more where they are."""
-        for kept in self._all.values():
-            kept.known = "lost"
+        for target in self._all.values():
+            target.known = "lost"
 
     def refuse_lost(self, X_BT: Array) -> None:
         """Raises RequestRefused (``refused.target_lost``) when the aimed target's place is not known here."""
-        kept = self.aimed
-        if kept is not None and self.known_at(kept, X_BT) == "lost":
+        target = self.aimed
+        if target is not None and self.known_at(target, X_BT) == "lost":
             raise RequestRefused(
-                "refused.target_lost", f"target {kept.id}: the arm went unwatched; click it again"
+                "refused.target_lost", f"target {target.id}: the arm went unwatched; click it again"
             )
 
 

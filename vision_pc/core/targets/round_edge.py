@@ -149,35 +149,35 @@ def _fit_circle(points: Array, px_m: float) -> Circle:
     for turn in range(8):
         off = points - middle
         far = np.linalg.norm(off, axis=1)
-        kept = np.abs(far - radius) < within
-        if turn > 3 and kept.any():  # what is a little beyond the edge is where it begins to break out
-            usual = 1.48 * float(np.median(np.abs(far[kept] - radius)))
-            kept &= np.abs(far - radius) < max(_TIGHT * usual, 0.1 * px_m)
-        if kept.sum() < 8:
+        inlier = np.abs(far - radius) < within
+        if turn > 3 and inlier.any():  # what is a little beyond the edge is where it begins to break out
+            usual = 1.48 * float(np.median(np.abs(far[inlier] - radius)))
+            inlier &= np.abs(far - radius) < max(_TIGHT * usual, 0.1 * px_m)
+        if inlier.sum() < 8:
             break
-        J = np.column_stack([off[kept] / far[kept][:, None], np.ones(kept.sum())])
-        step = np.linalg.lstsq(J, far[kept] - radius, rcond=None)[0]
+        J = np.column_stack([off[inlier] / far[inlier][:, None], np.ones(inlier.sum())])
+        step = np.linalg.lstsq(J, far[inlier] - radius, rcond=None)[0]
         middle, radius = middle + step[:2], radius + float(step[2])
         within = _within(radius, px_m)
     off = points - middle
     far = np.linalg.norm(off, axis=1)
-    kept = np.abs(far - radius) < within
-    share = float(kept.sum()) / RAYS
-    angles = np.sort(np.arctan2(off[kept, 1], off[kept, 0]))
-    gap = float(np.diff(np.append(angles, angles[:1] + 2.0 * math.pi)).max()) if kept.any() else 7.0
+    inlier = np.abs(far - radius) < within
+    share = float(inlier.sum()) / RAYS
+    angles = np.sort(np.arctan2(off[inlier, 1], off[inlier, 0]))
+    gap = float(np.diff(np.append(angles, angles[:1] + 2.0 * math.pi)).max()) if inlier.any() else 7.0
     if share < _LEAST_SHARE or gap > _WIDEST_GAP:
         raise TargetRefused(
             "target.not_round",
             f"target: {100.0 * share:.0f} % of the edge is on a circle, {100.0 * _LEAST_SHARE:.0f} % are "
             f"wanted; widest gap {math.degrees(gap):.0f} degrees",
         )
-    J = np.column_stack([off[kept] / far[kept][:, None], np.ones(kept.sum())])
-    noise = float(np.std(far[kept] - radius))
+    J = np.column_stack([off[inlier] / far[inlier][:, None], np.ones(inlier.sum())])
+    noise = float(np.std(far[inlier] - radius))
     # Profiles closer together than the grain about the rim say the same: so many of them count.
     apart = min(1.0, 2.0 * math.pi * radius / px_m / RAYS / GRAIN_PX)
     spread = np.linalg.inv(J.T @ J)[:2, :2] * noise**2 / apart
     covariance = spread + (FLOOR_PX * px_m) ** 2 * np.eye(2)
-    return Circle(middle, radius, covariance, share, points[kept])
+    return Circle(middle, radius, covariance, share, points[inlier])
 
 
 def _within(radius: float, px_m: float) -> float:

@@ -67,11 +67,11 @@ def look_at_target(
         previous = observe(pair, camera, markers, previous)
         observations.append(previous)
     seen = [o for o in observations if o.X_CO is not None]
-    wanted = min(settings.minimum_frames, len(pairs))
-    if previous is None or len(seen) < wanted:
-        _refuse(pairs, len(seen), wanted, expected | markers.sizes.keys(), settings)
+    needed = min(settings.minimum_frames, len(pairs))
+    if previous is None or len(seen) < needed:
+        _refuse(pairs, len(seen), needed, expected | markers.sizes.keys(), settings)
     measured = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
-    mean, count = robust_mean(measured, wanted, "object", looks.huber_sigmas)
+    mean, count = robust_mean(measured, needed, "object", looks.huber_sigmas)
     corners = [m.corners_left for o in seen for m in o.markers if m.marker_id == settings.marker_id]
     tools = [o.X_CM for o in observations if o.X_CM is not None]
     assert previous is not None
@@ -87,9 +87,9 @@ def look_at_target(
 
 
 def _refuse(
-    pairs: Sequence[StereoPair], seen: int, wanted: int, expected: frozenset[int], settings: GuidedSettings
+    pairs: Sequence[StereoPair], seen: int, needed: int, expected: frozenset[int], settings: GuidedSettings
 ) -> None:
-    counts = f"marker {settings.marker_id} seen in {seen} of {len(pairs)} pictures, {wanted} are wanted"
+    counts = f"marker {settings.marker_id} seen in {seen} of {len(pairs)} pictures, {needed} are wanted"
     others = sorted(markers_in(pairs[-1].left, settings.dictionary) - expected) if pairs else []
     if seen == 0 and others:
         numbers = ", ".join(map(str, others))

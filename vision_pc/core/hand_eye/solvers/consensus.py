@@ -142,12 +142,12 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     Raises MeasurementFailed (``measurement.hand_eye.no_solution``) when no three samples determine a pose.
     """
     n = len(p.H)
-    wanted = (n + 4) // 2
+    majority = (n + 4) // 2
     weights = triple_weights(n)
     X, Z = start_of(p, weights)
     turns, shifts = misfits(p, X, Z)
-    score = _quantile(turns, wanted) * _quantile(shifts, wanted)
-    best = [_concentrated(p, setup, X[k], Z[k], wanted) for k in np.argsort(score, kind="stable")[:_BEST]]
+    score = _quantile(turns, majority) * _quantile(shifts, majority)
+    best = [_concentrated(p, setup, X[k], Z[k], majority) for k in np.argsort(score, kind="stable")[:_BEST]]
     turn, shift = min(best, key=lambda sizes: sizes[0] * sizes[1])
     if not math.isfinite(turn * shift):
         raise MeasurementFailed("measurement.hand_eye.no_solution", "no three samples determine the pose")
@@ -173,18 +173,18 @@ def triple_weights(n: int) -> Array:
     return weights
 
 
-def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:
-    """The quantiles of turn and shift after refitting to the ``wanted`` best samples, a few times."""
+def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, majority: int) -> tuple[float, float]:
+    """The quantiles of turn and shift after refitting to the ``majority`` best samples, a few times."""
     for _ in range(_CONCENTRATIONS):
         turns, shifts = misfits(p, X, Z)
-        turn, shift = _quantile(turns, wanted), _quantile(shifts, wanted)
+        turn, shift = _quantile(turns, majority), _quantile(shifts, majority)
         noise = Noise(max(float(turn), 1e-9), max(float(shift), 1e-9))
         size = (turns / noise.camera_rotation) ** 2 + (shifts / noise.camera_translation) ** 2
         weights = np.zeros(len(size))
-        weights[np.argsort(size, kind="stable")[:wanted]] = 1.0
+        weights[np.argsort(size, kind="stable")[:majority]] = 1.0
         X, Z = _refined(p, setup, noise, weights, (X, Z))
     turns, shifts = misfits(p, X, Z)
-    return float(_quantile(turns, wanted)), float(_quantile(shifts, wanted))
+    return float(_quantile(turns, majority)), float(_quantile(shifts, majority))
 
 
 def misfits(p: Parts, X: Array, Z: Array) -> tuple[Array, Array]:
@@ -195,5 +195,5 @@ def misfits(p: Parts, X: Array, Z: Array) -> tuple[Array, Array]:
     return chord, np.linalg.norm(gap[..., :3, 3], axis=-1)
 
 
-def _quantile(sizes: Array, wanted: int) -> Array:
-    return np.asarray(np.sort(sizes, axis=-1)[..., wanted - 1])
+def _quantile(sizes: Array, majority: int) -> Array:
+    return np.asarray(np.sort(sizes, axis=-1)[..., majority - 1])

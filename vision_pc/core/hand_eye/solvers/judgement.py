@@ -206,14 +206,14 @@ def _fits(reading: Reading) -> str:
 
 def _scale(pairs: PosePairs, result: HandEyeResult) -> Scale:
     """The scale between the sides by the used samples, with the noise that remains once they are scaled."""
-    kept = pairs.subset(result.inliers[np.array(pairs.order)])
-    equations = Equations(kept.H, kept.P, np.ones(len(kept)), kept.setup)
+    inliers = pairs.subset(result.inliers[np.array(pairs.order)])
+    equations = Equations(inliers.H, inliers.P, np.ones(len(inliers)), inliers.setup)
     noise, found = result.residual_noise(), Scale(1.0, math.inf)
-    fitted = math.sqrt(6.0 * len(kept) / max(6.0 * len(kept) - 13.0, 1.0))
+    fitted = math.sqrt(6.0 * len(inliers) / max(6.0 * len(inliers) - 13.0, 1.0))
     for _ in range(2):
         found, shift = readings.refined_scale(equations, result.X, result.Z, noise)
         noise = noise._replace(camera_translation=fitted * shift)
-    return found._replace(std=found.std * math.sqrt(few_sample_factor(len(kept))))
+    return found._replace(std=found.std * math.sqrt(few_sample_factor(len(inliers))))
 
 
 def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:

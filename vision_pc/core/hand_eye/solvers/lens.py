@@ -77,11 +77,11 @@ def share(pairs: PosePairs, result: HandEyeResult, lens: KnownLens) -> Array:
 
     Where no corners are known, a square target of a fifth of its distance stands in for it.
     """
-    kept = pairs.subset(result.inliers[np.array(pairs.order)])
-    equations = Equations(kept.H, kept.P, np.ones(len(kept)), kept.setup)
+    inliers = pairs.subset(result.inliers[np.array(pairs.order)])
+    equations = Equations(inliers.H, inliers.P, np.ones(len(inliers)), inliers.setup)
     noise = result.noise or result.residual_noise()
-    moved = np.stack([_target_motion_by_lens(kept, k, lens) for k in range(len(kept))])
-    r = ml.residuals(kept.H, kept.P, result.X, result.Z)
+    moved = np.stack([_target_motion_by_lens(inliers, k, lens) for k in range(len(inliers))])
+    r = ml.residuals(inliers.H, inliers.P, result.X, result.Z)
     W = ml.whitener(equations, result.X, result.Z, noise)
     J = ml.whitened(W, ml.jacobian(equations, result.X, result.Z, r)).reshape(-1, 12)
     D = ml.whitened(W, moved).reshape(-1, moved.shape[-1])

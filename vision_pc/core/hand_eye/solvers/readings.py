@@ -153,17 +153,17 @@ def rough_scale(p: Parts) -> float:
     by a few bad samples, so it begins with triples and goes on with the better half of the samples.
     """
     n = len(p.H)
-    wanted = (n + 4) // 2
+    majority = (n + 4) // 2
     factors, misfits = _fit_scale(p, consensus.triple_weights(n))
-    score = np.sort(misfits, axis=-1)[..., wanted - 1]
+    score = np.sort(misfits, axis=-1)[..., majority - 1]
     found = []
     for k in np.argsort(score, kind="stable")[:_BEST]:
         factor, misfit = factors[k], misfits[k]
         for _ in range(_CONCENTRATIONS):
-            kept = np.zeros(n)
-            kept[np.argsort(misfit, kind="stable")[:wanted]] = 1.0
-            factor, misfit = _fit_scale(p, kept)
-        found.append((float(np.sort(misfit)[wanted - 1]), float(factor)))
+            weights = np.zeros(n)
+            weights[np.argsort(misfit, kind="stable")[:majority]] = 1.0
+            factor, misfit = _fit_scale(p, weights)
+        found.append((float(np.sort(misfit)[majority - 1]), float(factor)))
     return min(found)[1]
 
 
