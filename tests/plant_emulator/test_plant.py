@@ -139,6 +139,7 @@ def test_watchdog_latches_until_the_rising_edge_of_its_reset(plant: Plant) -> No
     plant.advance(150_000_000)
     driver.run(0.1, LIFT_UP)
     assert plant.read().status & STATUS_WATCHDOG_TRIPPED
+    assert np.abs(plant.truth().valves).max() == 0.0  # what goes on being written opens none
     driver.run(0.05, LIFT_UP, CONTROL_ENABLE | CONTROL_RESET_WATCHDOG)
     assert plant.read().status == STATUS_SUPPLY_ON | STATUS_VALVES_ENABLED
     plant.advance(150_000_000)

@@ -18,7 +18,6 @@ _SURE = 3.0  # [D] standard deviations: further from its known deadband no edge 
 _FINE_RAD = 3e-4  # [D] six digits: of a shorter way, speed tells nothing, and the jog takes its time
 _FAST_FILTER_S = 0.05  # [D] of the error while a valve is open
 _LEAST_SEEN_RAD = 3e-5  # [E] by that filter: six standard deviations of its noise
-_EASY = 0.2  # [D] of way / lateness²: a joint that is accelerated so overshoots by nothing when shut half way
 _UNSURE_S = 2.0  # [D] through the doubt about an edge
 _SURELY_SHUT = 0.5  # [D] of its edge, from where a valve is opened slowly for the first time
 _RISES_RAD_S2 = 1e-3  # [E] at least: what a late mobile valve adds takes no joint out of its backlash,
@@ -68,8 +67,7 @@ def jog_spool(law: ParkingLaw, joint: Joint, i: int, error: float, gains: Array)
     way = max(sense * jog.start + beyond, 2.0 * _LEAST_SEEN_RAD)
     gone = sense * (jog.start - (joint.error - joint.place))
     speed = max(sense * joint.speed, 0.0)
-    easy = _EASY if jog.fine else 1.0
-    rise = max(easy * way / (latest * latest), gain * valve.doubt[side] / _UNSURE_S)
+    rise = max(way / (latest * latest), gain * valve.doubt[side] / _UNSURE_S)
     if gone > (_LEAST_SEEN_RAD if jog.fine else _SEEN_RAD):
         jog.seen = 1
     if jog.fine or speed < min(max(way / (3.0 * latest), law.slowest), law.fastest):

@@ -7,7 +7,7 @@ from protocol.faults import FaultCode, GroupState, Severity
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, forward
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
-from vision_pc.core.calibration.take_up import first_take_up, move_with_take_up
+from vision_pc.core.calibration.take_up import backlash_sides, first_take_up, move_with_take_up
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array, transform
 
@@ -64,3 +64,8 @@ async def test_a_joint_that_came_too_far_is_never_sent_back_to_the_end(
     assert (arm.to_end, arm.elsewhere) == (to_end, elsewhere)
     assert ended.residual[0] == pytest.approx(beyond[-1], abs=1e-6)
     assert joint_turns(END, ended.view.X_BT, BOOM)[0] == pytest.approx(beyond[-1], abs=1e-6)  # it ends there
+
+
+def test_the_load_changes_sides_on_a_reversal_and_not_for_less() -> None:
+    slew = np.array([0.0, 2e-3, 4e-3, 3.9e-3, 3e-3, 2e-3, 2.05e-3])
+    assert backlash_sides(slew, 1e-3) == pytest.approx([0.0, -1.0, -1.0, -0.9, 0.0, 1.0, 0.95])
