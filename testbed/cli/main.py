@@ -201,7 +201,7 @@ def demo(
     world = chosen_overrides(config_dir, scenario, seed, settings or [])
     overrides = with_face(world, breaks, start.show_truth)
     looks = HOLES if holes else 1 if programs else chosen.looks
-    choice = Choice(scenario, seed, looks, holes, programs, faults)
+    choice = Choice(scenario, seed, looks, holes, programs, faults, chosen.method)
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:

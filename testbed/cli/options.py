@@ -9,7 +9,7 @@ import typer
 from foundation.command_options import usual_configs
 from testbed.hand_eye.pose_forms import PoseForm
 from testbed.reporting.console import writable
-from vision_pc.config.choices import Setup
+from vision_pc.config.choices import PositioningMethod, Setup
 
 
 class SampleSource(NamedTuple):
@@ -116,7 +116,11 @@ class DemoOptions(NamedTuple):
     hold: Annotated[
         bool, typer.Option("--hold", help="At the end leave all running, with the console, until Ctrl-C.")
     ] = False
-    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
+    method: Annotated[
+        PositioningMethod,
+        typer.Option(help="corrected by odometry on the way, or the paper's, by trajectory matching."),
+    ] = PositioningMethod.CORRECTED
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 1
     target: Annotated[
         DemoTarget,
         typer.Option(help="hole: three drill holes in order, no marker on the wall (scenario drill_face)."),

@@ -133,7 +133,7 @@ def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -
             if choice.holes:
                 visit_holes(rig, recorder)
             else:
-                demonstrate(rig, recorder, choice.looks, choice.programs)
+                demonstrate(rig, recorder, choice.looks, choice.programs, choice.method)
         except LongreachError as error:
             supervisor.check()
             failure = error
@@ -200,7 +200,7 @@ def run_lockstep(
         if choice.holes:
             visit_holes(rig, recorder)
         else:
-            demonstrate(rig, recorder, choice.looks, choice.programs)
+            demonstrate(rig, recorder, choice.looks, choice.programs, choice.method)
     except LongreachError as error:
         details["failure"] = f"{error.cause}: {error}"
         log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))

@@ -1,7 +1,7 @@
 """The demonstration as a sequence of operations, the same over the REST API and in lockstep.
 
-Orientation adjustment, local calibration by trajectory matching, then look-then-moves, with a look wherever
-the arm comes to rest. What was true at those times is found out afterwards, from the plant's own recording.
+Orientation adjustment, local calibration, then look-then-moves, with a look wherever the arm comes to rest.
+What was true at those times is found out afterwards, from the plant's own recording.
 """
 
 import math
@@ -21,6 +21,7 @@ from testbed.reporting.plots import TracedView, Traces
 from testbed.reporting.report import Picture
 from testbed.scenarios.scenario import NamedRequest
 from vision_pc.application.visit import Visited
+from vision_pc.config.choices import PositioningMethod
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
@@ -129,7 +130,20 @@ class Recorder:
         return self._rig.latest_look()
 
 
-def demonstrate(rig: Rig, recorder: Recorder, looks: int, programs: Sequence[NamedRequest] = ()) -> None:
+CALIBRATION = {
+    PositioningMethod.CORRECTED: ("local track", "local-track"),
+    PositioningMethod.PAPER: ("trajectory matching", "trajectory-matching"),
+}
+"""What each method calibrates by: its words, and the program."""
+
+
+def demonstrate(
+    rig: Rig,
+    recorder: Recorder,
+    looks: int,
+    programs: Sequence[NamedRequest] = (),
+    method: PositioningMethod = PositioningMethod.CORRECTED,
+) -> None:
     """Run the whole sequence and note it in ``recorder``. Raises what stopped it.
 
     ``programs`` run in place of calibration and looks; the end of the last is what counts.
@@ -143,9 +157,10 @@ def demonstrate(rig: Rig, recorder: Recorder, looks: int, programs: Sequence[Nam
         recorder.step(label, name, dict(body), look_number=1 if index == len(programs) - 1 else 0)
     if programs:
         return
-    recorder.step("trajectory matching", "trajectory-matching", {})
+    recorder.step(*CALIBRATION[method], {})
+    one: JSON = {"inputs": 1} if method is PositioningMethod.PAPER else {}
     for number in range(1, looks + 1):
-        recorder.step(f"look {number}", "look-then-move", {"inputs": 1}, look_number=number)
+        recorder.step(f"look {number}", "look-then-move", {"method": method} | one, look_number=number)
 
 
 def told_of(result: Any) -> ExpectedEnd | None:

@@ -23,6 +23,7 @@ from testbed.reporting.plots import Traces
 from testbed.reporting.report import Picture, rendered, write_report
 from testbed.reporting.run_record import RECORD_FILE, KeptRun, note
 from testbed.scenarios.scenario import NamedRequest
+from vision_pc.config.choices import PositioningMethod
 
 
 class Choice(NamedTuple):
@@ -38,6 +39,7 @@ class Choice(NamedTuple):
     holes: bool = False
     programs: tuple[NamedRequest, ...] = ()
     faults: tuple[FaultOrder, ...] = ()
+    method: PositioningMethod = PositioningMethod.CORRECTED
 
 
 def outcome_table(outcome: Outcome) -> Table:

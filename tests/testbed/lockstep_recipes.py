@@ -21,6 +21,7 @@ from testbed.reporting.console import bars
 from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.still_rig import still_settings
+from vision_pc.config.choices import PositioningMethod
 
 RECIPES = ("standard", "paper", "hand_eye", "crane", "servoing")
 SEEDS = (1, 2, 3)
@@ -47,7 +48,7 @@ def _demonstration(scenario: str, seed: int) -> LockstepRig:
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, scenario, seed, []))
     rig = LockstepRig(settings, seed, RunLog())
     with bars(quiet=True) as shown:
-        demonstrate(rig, Recorder(rig, shown), 1)
+        demonstrate(rig, Recorder(rig, shown), 1, method=PositioningMethod.PAPER)
     return rig
 
 

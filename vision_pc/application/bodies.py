@@ -15,6 +15,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic.fields import FieldInfo
 
+from vision_pc.config.choices import PositioningMethod
 from vision_pc.config.programs import (
     LineEquationSettings,
     LocalErrorModelSettings,
@@ -177,33 +178,40 @@ LocalTrackBody = body_of(
 )  # fmt: skip
 
 
-class PositioningMethod(StrEnum):
-    """By which calibration look-then-move drives: the local rotation, or the local map with corrections."""
-
-    CALIBRATED = "calibrated"
-    CORRECTED = "corrected"
-
-
 class LookThenMoveSettings(PositioningSettings):
     """Look-then-move, by which calibration, and to which target (None: as aimed)."""
 
-    method: PositioningMethod = PositioningMethod.CALIBRATED
+    method: PositioningMethod = PositioningMethod.CORRECTED
     target: str | None = None
 
 
-LookThenMoveBody = body_of(
+_LookThenMove = body_of(
     "LookThenMoveBody",
-    "Look-then-move (20)-(22). ``method``: by local calibration, or by local map, corrected mid-course.",
+    "",
     LookThenMoveSettings,
     # Its own: it has a default, because no configuration chooses it.
-    method=Own(Literal["calibrated", "corrected"], "calibrated"),
+    method=Own(Literal["corrected", "paper"], "corrected"),
     target=_TARGET,
-    inputs=1,
+    inputs=Copy(description="Of `paper`: looks and steps; `corrected` is one look, ask again for another"),
     clearance_m=0.1,
     tolerance_mm=5.0,
     aim_mm=Copy(description="No input below this; 0: always one"),
-    corrections=Copy(description="Drives by odometry alone; 0: one shot"),
+    corrections=Copy(description="Of `corrected`: motions by odometry alone; 0: one shot"),
 )
+
+
+class LookThenMoveBody(_LookThenMove):  # type: ignore[misc, valid-type]
+    """Look-then-move (20)-(22). ``method``: by the local track, corrected by odometry on the way, or the
+    paper's, by trajectory matching.
+    """
+
+    @model_validator(mode="after")
+    def _of_the_method(self) -> "LookThenMoveBody":
+        other = {"corrected": ("inputs", "paper"), "paper": ("corrections", "corrected")}
+        member, method = other[self.method]
+        if getattr(self, member) is not None:
+            raise ValueError(f"{member} = {getattr(self, member)} is of method {method}, not {self.method}")
+        return self
 
 
 class ServoingSettings(VisualServoingSettings):

@@ -20,7 +20,6 @@ from vision_pc.application.bodies import (
     LookThenMoveSettings,
     MoveBody,
     OrientationBody,
-    PositioningMethod,
     ServoingSettings,
     TrajectoryBody,
     TurnSettings,
@@ -53,6 +52,7 @@ from vision_pc.application.results import (
 )
 from vision_pc.application.valve_trials import TrialsSeen, trials_json, watch_trials
 from vision_pc.application.visit import VISIT
+from vision_pc.config.choices import PositioningMethod
 from vision_pc.config.programs import (
     LineEquationSettings,
     LocalErrorModelSettings,
@@ -193,7 +193,7 @@ def _target(body: MoveBody, X_BT: Array) -> Array:
 def calibration_of_the_method(
     application: VisionApplication, name: str, settings: LookThenMoveSettings
 ) -> None:
-    """A local calibration, or with ``method: corrected`` a local track."""
+    """A local track, or with ``method: paper`` a local calibration."""
     if settings.method is PositioningMethod.CORRECTED:
         if application.track is None:
             raise RequestRefused("refused.not_calibrated", "no local track yet: run local-track first")

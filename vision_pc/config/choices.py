@@ -51,3 +51,10 @@ class Method(StrEnum):
 
 
 _POSE_METHODS = {Method.LI, Method.SHAH, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}
+
+
+class PositioningMethod(StrEnum):
+    """How look-then-move drives: by the local error model with corrections, or by the paper's rotation."""
+
+    CORRECTED = "corrected"
+    PAPER = "paper"

@@ -26,6 +26,7 @@ from testbed.reporting.console import bars, table
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.run_directory import Choice
 from testbed.scenarios.scenario import fault_orders, load_scenario, load_settings, named_request
+from vision_pc.config.choices import PositioningMethod
 from vision_pc.core.se3 import Array
 from vision_pc.shell.installed_programs import installed_programs
 
@@ -159,7 +160,8 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     scenario, seed = task["scenario"], task["seed"]
     world = merged(load_scenario(config_dir, scenario).world(seed), parse_overrides(task["assignments"]))
     programs = tuple(named_request(word) for word in task.get("program", ()))
-    choice = Choice(scenario, seed, task["looks"], False, programs, fault_orders(task.get("fault", ())))
+    faults = fault_orders(task.get("fault", ()))
+    choice = Choice(scenario, seed, task["looks"], False, programs, faults, PositioningMethod.PAPER)
     with bars(quiet=True) as shown:
         done = run_lockstep(config_dir, world, choice, shown)
     return row_of(done.outcome, world)

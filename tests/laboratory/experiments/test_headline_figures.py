@@ -21,7 +21,7 @@ from testbed.lockstep.rig import LockstepRig
 from testbed.reporting.console import bars
 from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.config.choices import Method
+from vision_pc.config.choices import Method, PositioningMethod
 
 pytestmark = pytest.mark.slow("whole runs of a campaign")
 
@@ -42,7 +42,7 @@ def demonstrated(seed: int) -> float:
     """The true error in mm after the first look of the demonstration, with pictures."""
     rig = LockstepRig(load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", seed, [])), seed, RunLog())
     with bars(quiet=True) as shown:
-        demonstrate(rig, Recorder(rig, shown), 1)
+        demonstrate(rig, Recorder(rig, shown), 1, method=PositioningMethod.PAPER)
     return float(np.abs(true_error_mm(rig)[:2]).max())
 
 

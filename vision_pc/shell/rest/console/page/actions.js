@@ -14,7 +14,7 @@ const STEPS = [
   { kind: 'look', words: 'Look', verb: 'Look', free: true },
   { kind: 'orientation-adjustment', words: '1 Turn parallel', verb: 'Turn', aims: true },
   { kind: 'local-track', words: '2 Local calibration', verb: 'Calibrate', method: 'corrected' },
-  { kind: 'trajectory-matching', words: '2 Local calibration', verb: 'Calibrate', method: 'calibrated' },
+  { kind: 'trajectory-matching', words: '2 Local calibration', verb: 'Calibrate', method: 'paper' },
   { kind: 'look-then-move', words: '3 Go to the target', verb: 'Go', primary: true, aims: true },
   { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo', aims: true },
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
