@@ -32,6 +32,25 @@ class RecordedTopic(NamedTuple):
             raise KeyError(f"no {name}; there are {', '.join(self.columns)}")
         return self.columns[name]
 
+    def to_pandas(self) -> Any:
+        """A DataFrame, a row a message by ``log_ns``; ``name[i]`` is an entry of a list or of a pose by rows.
+
+        Raises ImportError where pandas is not installed: nothing else here needs it.
+        """
+        import pandas
+
+        flat: dict[str, NDArray[Any]] = {}
+        for name, values in self.columns.items():
+            if values.ndim == 1:
+                flat[name] = values
+                continue
+            entries = values.reshape(len(values), -1)
+            flat |= {f"{name}[{i}]": entries[:, i] for i in range(entries.shape[1])}
+        return pandas.DataFrame(flat, index=pandas.Index(self.log_ns, name="log_ns"))
+
+    def __repr__(self) -> str:
+        return f"<RecordedTopic: {len(self.log_ns)} messages, {', '.join(self.columns)}>"
+
 
 class ReadRecording(Mapping[str, RecordedTopic]):
     """Topic → its messages. ``metadata``, ``complete`` (closed, not cut off) and ``damages`` of the file."""
@@ -41,6 +60,10 @@ class ReadRecording(Mapping[str, RecordedTopic]):
         self.metadata = found.metadata
         self.complete = found.complete
         self.damages = found.damages
+
+    def __repr__(self) -> str:
+        told = ", ".join(f"{name} ({len(topic.log_ns)})" for name, topic in self._topics.items())
+        return f"<ReadRecording: {told}>"
 
     def __getitem__(self, topic: str) -> RecordedTopic:
         if topic not in self._topics:

@@ -115,9 +115,20 @@ class DrivenRig:
 class SimulatedRig(DrivenRig):
     """Plant, controller and vision in simulated time; the truth is at hand. ``lockstep_rig``: all of it."""
 
-    def __init__(self, rig: LockstepRig) -> None:
+    def __init__(self, rig: LockstepRig, world: str, record: Path | None) -> None:
         super().__init__(rig)
         self.lockstep_rig = rig
+        self._world = world
+        self._recordings = None if record is None else rig.record_in(record, f"lockstep {world}")
+
+    def __repr__(self) -> str:
+        return f"<SimulatedRig: {self._world}, at {self.time_s:.1f} s>"
+
+    def close(self) -> None:
+        """End the recordings, if there are any."""
+        if self._recordings is not None:
+            self._recordings.close()
+            self._recordings = None
 
     @property
     def truth(self) -> PlantTruth:
@@ -138,9 +149,13 @@ class SimulatedRig(DrivenRig):
 class ConnectedRig(DrivenRig):
     """A running rig over REST. It has no ``truth``: that is in the plant's recording alone."""
 
-    def __init__(self, rig: RestRig) -> None:
+    def __init__(self, rig: RestRig, url: str) -> None:
         super().__init__(rig)
         self._rest = rig
+        self._url = url
+
+    def __repr__(self) -> str:
+        return f"<ConnectedRig: {self._url}>"
 
     def close(self) -> None:
         """Close the connection; the rig goes on."""
@@ -164,15 +179,19 @@ def lockstep(
     config_dir: Path | str = CONFIGS,
     programs: Sequence[Program[Any, Any]] = (),
     arm: str | None = None,
+    record: Path | str | None = None,
 ) -> SimulatedRig:
     """A rig in simulated time, in the world that ``scenario`` draws for ``seed`` (None: as configured).
 
     The same seed is the same run. ``programs``: of your own, beside those of the API and of installed
-    packages. ``arm``: a name or a directory, as the command line's ``--arm``.
-    Raises ConfigurationError.
+    packages. ``arm``: a name or a directory, as the command line's ``--arm``. ``record``: a directory in
+    which plant, controller and vision are recorded until the rig is closed.
+    Raises ConfigurationError, and OSError where nothing can be recorded.
     """
     settings = configured(config_dir, arm, scenario, seed, set)
-    return SimulatedRig(LockstepRig(settings, seed, RunLog(), programs=(*every_program(), *programs)))
+    rig = LockstepRig(settings, seed, RunLog(), programs=(*every_program(), *programs))
+    world = f"{settings.arm.name}, {scenario or 'as configured'}, seed {seed}"
+    return SimulatedRig(rig, world, None if record is None else Path(record))
 
 
 def connect(url: str, token: bytes | None = None) -> ConnectedRig:
@@ -180,4 +199,4 @@ def connect(url: str, token: bytes | None = None) -> ConnectedRig:
 
     Nothing is sent yet: the first call raises LinkLost (``link.rest``) when nobody answers.
     """
-    return ConnectedRig(RestRig(url, token))
+    return ConnectedRig(RestRig(url, token), url)

@@ -181,6 +181,7 @@ LATER = {
     "recording": Later(
         "testbed.cli.recording", "What is in a recording, whether it is whole, what can be made of it."
     ),
+    "config": Later("testbed.cli.config", "Every key that can be set: value, unit, limits, who sets it."),
     "arm": Later("testbed.cli.arm", "Arms: which there are, whether one is right, one of your own."),
     "camera": Later("testbed.cli.camera", "A stereo camera: check, calibrate, convert."),
     "hand-eye": Later("testbed.cli.hand_eye", "Hand-eye calibration, guided on a rig or from files."),
@@ -211,7 +212,8 @@ PANELS = {  # in the order of use
     "Run": ("demo", "up", "experiment", "programs", "doctor"),
     "See what came out": ("runs", "recording", "replay"),
     "Your arm, camera and machine": (
-        "init", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers", "odometry",
+        "init", "config", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers",
+        "odometry",
     ),
     "Put to the test": ("soak", "conformance", "sniff", "proxy"),
     "For other tools": ("export", "picture", "token"),

@@ -1,9 +1,12 @@
 """README, how-to page and examples say what they do: all of them are run as they stand."""
 
+import ast
+import json
 import re
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import pytest
@@ -115,6 +118,28 @@ EXAMPLE_CHECKS = {
     "replay_a_recording": replays,
     "own_controller": believes_to_be_there,
 }
+
+
+def test_the_notebook_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # where it records
+    book = json.loads((ROOT / "examples" / "notebooks" / "first_run.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in book["cells"] if cell["cell_type"] == "code"]
+    names: dict[str, Any] = {}
+    shown = [value_of(cell, names) for cell in cells]
+    assert "outside ±5 mm" in repr(shown[1])
+    assert "inside ±5 mm" in repr(names["after"])
+    assert "<table>" in names["after"]._repr_html_()
+    pictures = [figure for figure in shown if hasattr(figure, "savefig")]
+    assert [figure._repr_png_()[:4] for figure in pictures] == 3 * [b"\x89PNG"]
+    assert shown[-1] is True
+
+
+def value_of(cell: str, names: dict[str, Any]) -> Any:
+    """What a notebook shows of ``cell``: the value of its last line, where that is an expression."""
+    *before, last = ast.parse(cell).body
+    assert isinstance(last, ast.Expr)
+    exec(compile(ast.Module(before, []), "notebook", "exec"), names)
+    return eval(compile(ast.Expression(last.value), "notebook", "eval"), names)
 
 
 def test_every_example_is_run_here() -> None:

@@ -6,8 +6,9 @@ from typing import Annotated
 import pytest
 import typer
 
+from testbed.scenarios import configuration_keys
 from testbed.scenarios.scenario import MODELS
-from tools.site import configuration_keys, extension
+from tools.site import extension, reference
 
 ROOT = Path(__file__).parents[2]
 YAML = """
@@ -76,7 +77,7 @@ def test_a_command_is_there_with_what_its_help_says() -> None:
     def new(name: Annotated[str, typer.Argument(metavar="NAME")]) -> None:
         """Make one."""
 
-    page = configuration_keys.commands_page(app)
+    page = reference.commands_page(app)
     assert [line for line in page.splitlines() if line.startswith("#")] == [
         "## longreach demo",
         "## longreach arm new",

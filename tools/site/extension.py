@@ -13,7 +13,7 @@ from urllib.parse import unquote, urlsplit
 
 from sphinx.application import Sphinx
 
-from tools.site import configuration_keys
+from tools.site import reference
 
 _FETCHED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "link": "href"}
 _NOT_FETCHED = {"canonical", "author", "search", "index", "next", "prev"}
@@ -123,8 +123,8 @@ def python_interface() -> str:
 
 MADE: Mapping[str, Callable[[], str]] = MappingProxyType(
     {
-        "configuration": configuration_keys.page,
-        "commands": configuration_keys.commands_page,
+        "configuration": reference.page,
+        "commands": reference.commands_page,
         "python": python_interface,
         "gallery": gallery,
     }

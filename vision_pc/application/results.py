@@ -24,10 +24,26 @@ JSON = dict[str, Any]
 
 
 class JudgedLook(NamedTuple):
-    """A look with its verdict."""
+    """A look with its verdict; a notebook shows the table, a console the line."""
 
     look: Look
     verdict: LookVerdict
+
+    def __repr__(self) -> str:
+        errors = zip("xyz", 1e3 * self.verdict.error_m, 1e3 * self.verdict.std_m, strict=True)
+        said = ", ".join(f"{axis} {error:+.2f} ± {std:.2f}" for axis, error, std in errors)
+        where = "inside" if self.verdict.inside else "outside"
+        limit = f"±{1e3 * self.verdict.tolerance_m:g} mm in x and y"
+        return f"<look of {self.look.frames} frames: {said} mm, {where} {limit}>"
+
+    def _repr_html_(self) -> str:
+        heads = "".join(f"<th>{axis}</th>" for axis in ("", "x", "y", "z"))
+        rows = (("error, mm", self.verdict.error_m), ("1 σ, mm", self.verdict.std_m))
+        cells = "".join(
+            f"<tr><th>{name}</th>{''.join(f'<td>{1e3 * value:+.2f}</td>' for value in values)}</tr>"
+            for name, values in rows
+        )
+        return f"<table><tr>{heads}</tr>{cells}</table>{self!r}".replace("<look", "&lt;look")
 
 
 class LineEquationResult(NamedTuple):

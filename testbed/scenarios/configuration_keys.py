@@ -1,69 +1,15 @@
-"""Every key of every configuration file: shipped value, what is allowed, what the file says of it."""
+"""Every key of the configuration files: value, unit, what is allowed, what the file says, who sets it."""
 
 import json
-import re
 from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import typer
 import yaml
 
-from testbed.cli.main import app
 from testbed.scenarios.scenario import MODELS
-from tools.tables import table
 
-
-def commands_page(root: typer.Typer = app) -> str:
-    """The reference of every command that can be run, by its words, in the order of the help."""
-    found = _below(typer.main.get_command(root), "longreach", None)
-    return "\n\n".join(_command(path, command) for path, command in found)
-
-
-def _below(command: Any, path: str, parent: Any) -> Iterator[tuple[str, Any]]:
-    context = command.context_class(command, info_name=path, parent=parent)
-    if not hasattr(command, "list_commands"):
-        yield path, command
-        return
-    for name in command.list_commands(context):
-        _, found, _ = command.resolve_command(context, [name])  # loads what is loaded when it is asked for
-        if not found.hidden:
-            yield from _below(found, f"{path} {name}", context)
-
-
-def _command(path: str, command: Any) -> str:
-    context = command.context_class(command, info_name=path)
-    usage = " ".join([path, *command.collect_usage_pieces(context)])
-    rows = [_row(parameter, context) for parameter in command.get_params(context)]
-    parts = [f"## {path}", _text(command.help or ""), f"```\n{usage}\n```"]
-    if shown := [row for row in rows if row]:
-        parts.append(table("option | what", shown))
-    if command.epilog:
-        parts.append(
-            f"{_text(command.epilog.partition('Example: ')[0])}\n```\n{_example(command.epilog)}\n```"
-        )
-    return "\n\n".join(part for part in parts if part.strip())
-
-
-def _example(epilog: str) -> str:
-    return epilog.partition("Example: ")[2] or epilog
-
-
-def _row(parameter: Any, context: Any) -> tuple[str, str] | None:
-    record = parameter.get_help_record(context)
-    if record is None or parameter.name == "help":
-        return None
-    names, told = record
-    return f"`{names}`".replace("|", "\\|"), _text(told)
-
-
-def _text(text: str) -> str:
-    joined = re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()).replace("\b", "")
-    return re.sub(r"([*<|\[_])", r"\\\1", joined) if "`" not in joined else joined.replace("|", "\\|")
-
-
-CONFIGS = Path(__file__).parents[2] / "configs"
-_LONGEST = 60  # characters of a value that is shown
 _NONE = object()  # null is a value
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
@@ -78,23 +24,66 @@ class Key(NamedTuple):
     told: str
 
 
-def page() -> str:
-    """The reference of all configuration files, in Markdown."""
-    return "\n\n".join(_file(name) for name in MODELS)
+class DescribedKey(NamedTuple):
+    """A key as ``--set`` takes it: shipped value, unit, what is allowed, what the file says, which overlays
+    of the same directory (arms, scenarios) set or draw it.
+    """
+
+    key: str
+    value: str
+    unit: str
+    allowed: str
+    comment: str
+    set_by: tuple[str, ...]
 
 
-def _file(name: str) -> str:
-    schema = MODELS[name].model_json_schema()
-    text = (CONFIGS / f"{name}.yaml").read_text(encoding="utf-8")
-    written = list(keys(text))
-    rows = [
-        (f"`{key.path}`", _code(key.value), allowed(schema, key.path), _cell(key.told)) for key in written
-    ]
-    rows += [
-        (f"`{path}`", _code(f"not written: {value}"), allowed(schema, path), "")
-        for path, value in left_out(schema, {key.path for key in written})
-    ]
-    return f"## {name}.yaml\n\n" + table("key | shipped | allowed | what the file says", rows)
+_UNITS = {
+    "m": "m", "mm": "mm", "px": "px", "s": "s", "ms": "ms", "ns": "ns", "hz": "Hz", "rad": "rad",
+    "mrad": "mrad", "deg": "°", "kg": "kg", "bar": "bar", "c": "°C", "k": "K", "bytes": "bytes", "n": "N",
+}  # fmt: skip
+_PER = {"s": "1/s", "m": "1/m", "k": "1/K", "bar": "1/bar"}
+
+
+def described_keys(config_dir: Path, pattern: str = "") -> list[DescribedKey]:
+    """The keys of ``config_dir`` whose name holds ``pattern``, or matches it where it has a ``*``.
+
+    Those that a file leaves out come with their default. Raises OSError where a file is absent.
+    """
+    setters = _setters(config_dir)
+    found = []
+    for name, model in MODELS.items():
+        schema = model.model_json_schema()
+        written = list(keys((config_dir / f"{name}.yaml").read_text(encoding="utf-8")))
+        absent = [Key(*one, "") for one in left_out(schema, {key.path for key in written})]
+        for key in (*written, *absent):
+            path = f"{name}.{key.path}"
+            if not (fnmatchcase(path, pattern) if "*" in pattern else pattern in path):
+                continue
+            limits = allowed(schema, key.path)
+            found.append(DescribedKey(path, key.value, unit(path), limits, key.told, setters.get(path, ())))
+    return found
+
+
+def unit(path: str) -> str:
+    """The unit that a key's name ends in; empty: none."""
+    *before, last = path.rpartition(".")[2].split("_")
+    if (before and before[-1] == "per") or last in ("2", "3"):
+        return _PER.get(last, "")
+    return _UNITS.get(last, "") if before else ""
+
+
+def _setters(config_dir: Path) -> dict[str, tuple[str, ...]]:
+    """Key → the files below ``config_dir`` that lay something over it."""
+    setters: dict[str, list[str]] = {}
+    for file in sorted(config_dir.rglob("*.yaml")):
+        name = str(file.relative_to(config_dir))
+        if name.removesuffix(".yaml") in MODELS:
+            continue
+        for key in keys(file.read_text(encoding="utf-8")):
+            path = key.path.removeprefix("draws.").removeprefix("overrides.")
+            top = path if file.parent.name == "scenarios" else f"{file.stem.partition('_')[0]}.{path}"
+            setters.setdefault(top, []).append(name)
+    return {path: tuple(names) for path, names in setters.items()}
 
 
 def keys(text: str) -> Iterator[Key]:
@@ -195,12 +184,3 @@ def _left_out(
             )
         elif default is not _NONE and not any(other.startswith(f"{path}.") for other in written):
             yield path, json.dumps(default)
-
-
-def _code(value: str) -> str:
-    shown = value if len(value) <= _LONGEST else value[:_LONGEST] + " …"
-    return f"`{_cell(shown)}`" if shown else ""
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("*", "\\*").replace("<", "&lt;") if text else text

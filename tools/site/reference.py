@@ -1,0 +1,93 @@
+"""Every key of every configuration file: shipped value, what is allowed, what the file says of it."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from testbed.cli.main import app
+from testbed.scenarios.configuration_keys import allowed, keys, left_out
+from testbed.scenarios.scenario import MODELS
+from tools.tables import table
+
+
+def commands_page(root: typer.Typer = app) -> str:
+    """The reference of every command that can be run, by its words, in the order of the help."""
+    found = _below(typer.main.get_command(root), "longreach", None)
+    return "\n\n".join(_command(path, command) for path, command in found)
+
+
+def _below(command: Any, path: str, parent: Any) -> Iterator[tuple[str, Any]]:
+    context = command.context_class(command, info_name=path, parent=parent)
+    if not hasattr(command, "list_commands"):
+        yield path, command
+        return
+    for name in command.list_commands(context):
+        _, found, _ = command.resolve_command(context, [name])  # loads what is loaded when it is asked for
+        if not found.hidden:
+            yield from _below(found, f"{path} {name}", context)
+
+
+def _command(path: str, command: Any) -> str:
+    context = command.context_class(command, info_name=path)
+    usage = " ".join([path, *command.collect_usage_pieces(context)])
+    rows = [_row(parameter, context) for parameter in command.get_params(context)]
+    parts = [f"## {path}", _text(command.help or ""), f"```\n{usage}\n```"]
+    if shown := [row for row in rows if row]:
+        parts.append(table("option | what", shown))
+    if command.epilog:
+        parts.append(
+            f"{_text(command.epilog.partition('Example: ')[0])}\n```\n{_example(command.epilog)}\n```"
+        )
+    return "\n\n".join(part for part in parts if part.strip())
+
+
+def _example(epilog: str) -> str:
+    return epilog.partition("Example: ")[2] or epilog
+
+
+def _row(parameter: Any, context: Any) -> tuple[str, str] | None:
+    record = parameter.get_help_record(context)
+    if record is None or parameter.name == "help":
+        return None
+    names, told = record
+    return f"`{names}`".replace("|", "\\|"), _text(told)
+
+
+def _text(text: str) -> str:
+    joined = re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()).replace("\b", "")
+    return re.sub(r"([*<|\[_])", r"\\\1", joined) if "`" not in joined else joined.replace("|", "\\|")
+
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+_LONGEST = 60  # characters of a value that is shown
+
+
+def page() -> str:
+    """The reference of all configuration files, in Markdown."""
+    return "\n\n".join(_file(name) for name in MODELS)
+
+
+def _file(name: str) -> str:
+    schema = MODELS[name].model_json_schema()
+    text = (CONFIGS / f"{name}.yaml").read_text(encoding="utf-8")
+    written = list(keys(text))
+    rows = [
+        (f"`{key.path}`", _code(key.value), allowed(schema, key.path), _cell(key.told)) for key in written
+    ]
+    rows += [
+        (f"`{path}`", _code(f"not written: {value}"), allowed(schema, path), "")
+        for path, value in left_out(schema, {key.path for key in written})
+    ]
+    return f"## {name}.yaml\n\n" + table("key | shipped | allowed | what the file says", rows)
+
+
+def _code(value: str) -> str:
+    shown = value if len(value) <= _LONGEST else value[:_LONGEST] + " …"
+    return f"`{_cell(shown)}`" if shown else ""
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("*", "\\*").replace("<", "&lt;") if text else text
