@@ -1,6 +1,7 @@
 """``longreach conformance``: the suites at the terminal."""
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -41,7 +42,7 @@ def print_step(console: Console, summary: Summary, steps: tuple[FirstHourStep, .
     failed = next((r for r in summary.results if r.outcome is CaseOutcome.FAIL), None)
     if failed is None:
         if summary.results and summary.ended is None:
-            console.print("Every step passes: now ask all cases, without --first-hour.")
+            console.print(_steps_passed(summary), markup=False, highlight=False)
         return
     hint = next(step.hint for step in steps if step.number == failed.case.number)
     console.print()
@@ -51,6 +52,16 @@ def print_step(console: Console, summary: Summary, steps: tuple[FirstHourStep, .
     place = len(summary.results)
     console.print(f"Step {place} of {len(steps)}. To write next: {hint}", markup=False, highlight=False)
     console.print(f"Then: --case {failed.case.number}, or --first-hour again.", highlight=False)
+
+
+def _steps_passed(summary: Summary) -> str:
+    """How many steps pass, how many were not asked and why, and what comes next."""
+    unasked = Counter(r.detail for r in summary.results if r.outcome is CaseOutcome.UNSUPPORTED)
+    total, left = len(summary.results), unasked.total()
+    if not left:
+        return f"All {total} steps pass: now ask all cases, without --first-hour."
+    reasons = "; ".join(f"{count}: {why}" for why, count in unasked.most_common())
+    return f"{total - left} of {total} steps pass, {left} were not asked ({reasons})."
 
 
 def print_cases(cases: tuple[ConformanceCase, ...]) -> None:
@@ -64,7 +75,9 @@ def print_cases(cases: tuple[ConformanceCase, ...]) -> None:
 def result_line(result: Result) -> str:
     """One case on one line."""
     style = _STYLES[result.outcome]
-    what = f"{result.case.number} (clause {result.case.clause}) {result.case.title}: {result.detail}"
+    what = f"{result.case.number} (clause {result.case.clause}) {result.case.title}"
+    if result.detail:
+        what += f": {result.detail}"
     return f"[{style}]{result.outcome.value}[/] {escape(what)}"
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import IO, Annotated, Any, NamedTuple
 
 import typer
 
@@ -228,6 +228,30 @@ def _short(value: Any) -> str:
     return str(value)
 
 
+def as_pcap(packet: UdpPacket) -> bytes:
+    """The packet as a record of a pcap file of raw IPv4 (link type 101), with checksums of zero."""
+    size = 8 + len(packet.data)
+    udp = struct.pack(">4H", packet.source[1], packet.destination[1], size, 0) + packet.data
+    ends = (socket.inet_aton(host) for host, _ in (packet.source, packet.destination))
+    ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + size, 0, 0, 64, _UDP, 0, *ends) + udp
+    seconds, rest = divmod(round(packet.time_s * 1e6), 1_000_000)
+    return struct.pack("<4I", seconds, rest, len(ip), len(ip)) + ip
+
+
+PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65_535, _RAW_IP)
+
+
+def _opened(path: Path | None) -> IO[bytes] | None:
+    if path is None:
+        return None
+    try:
+        made = path.open("xb", buffering=0)
+    except OSError as error:
+        raise ConfigurationError("sniff.not_written", f"--out {path}: {error.strerror}") from error
+    made.write(PCAP_HEAD)
+    return made
+
+
 def sniff(
     pcap: Annotated[Path | None, typer.Option(help="Read this capture instead of an interface.")] = None,
     interface: Annotated[str, typer.Option(help="Listen here; needs CAP_NET_RAW.")] = "lo",
@@ -239,15 +263,24 @@ def sniff(
         Path | None, typer.Option(help="File with the shared key: judge the tags of sessions seen to open.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json-lines", help="One JSON object a datagram.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write them as a capture for Wireshark; made, never overwritten.")
+    ] = None,
 ) -> None:
     """Print every datagram of the reference link, with the cause where a receiver would drop it."""
     packets = from_file(pcap) if pcap is not None else from_interface(interface)
     ours = (packet for packet in packets if is_ours(packet, port))
     tags = TagReader(None if key is None else key_from_file(key))
     began_s: float | None = None
+    written = _opened(out)
     try:
         for packet in itertools.islice(ours, count or None):
+            if written is not None:
+                written.write(as_pcap(packet))
             began_s = packet.time_s if began_s is None else began_s
             typer.echo(json.dumps(as_fields(packet, tags)) if as_json else as_line(packet, began_s, tags))
     except KeyboardInterrupt:
         return
+    finally:
+        if written is not None:
+            written.close()

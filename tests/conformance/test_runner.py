@@ -1,5 +1,6 @@
 """The runner: who is not there, what is asked twice, profiles, the first hour, and what is written of it."""
 
+import io
 import json
 import socket
 import threading
@@ -9,10 +10,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from conformance.case import CaseOutcome, Summary
 from conformance.command import app as suites
+from conformance.command import print_step
 from conformance.parts import OptionalPart, Profile, profile_from
 from conformance.peer import Peer
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, write_records
@@ -350,6 +353,9 @@ def not_passed(summary: Summary) -> dict[int, str]:
 def test_a_sound_controller_passes_every_step_in_its_order() -> None:
     with ControllerUnderTest() as controller:
         summary = run_reference("127.0.0.1", controller.port, motion=True, manner=FIRST_HOUR)
+    said, total = io.StringIO(), len(REFERENCE_STEPS)
+    print_step(Console(file=said, width=200), summary, REFERENCE_STEPS)
+    assert said.getvalue().startswith(f"{total - 3} of {total} steps pass, 3 were not asked (3: ")
     assert [result.case.number for result in summary.results] == [step.number for step in REFERENCE_STEPS]
     assert set(not_passed(summary)) == OF_A_KEY
     assert summary.passed

@@ -13,6 +13,7 @@ from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from protocol.errors import ConfigurationError
 from tests.dissector.captures import frame, write_pcap
+from tests.support.paths import DOCS
 from tools.sample_messages import HEADER, MESSAGES
 
 DATAGRAMS = [encode(message, HEADER) for message in MESSAGES]
@@ -100,3 +101,21 @@ def test_tags_are_noted_and_with_the_key_judged(tmp_path: Path) -> None:
     ]  # fmt: skip
     unjudged = CliRunner().invoke(app, ["--pcap", str(path)]).output.splitlines()
     assert [" tag=not-judged " in line for line in unjudged] == [True] * 9 + [False]
+
+
+def test_what_is_written_is_read_again_and_never_overwritten(tmp_path: Path) -> None:
+    path, out = tmp_path / "all.pcap", tmp_path / "again.pcap"
+    write_pcap(path, DATAGRAMS)
+    assert CliRunner().invoke(app, ["--pcap", str(path), "--out", str(out)]).exit_code == 0
+    assert list(from_file(out)) == list(from_file(path))
+    refused = CliRunner().invoke(app, ["--pcap", str(path), "--out", str(out)])
+    assert isinstance(refused.exception, ConfigurationError)
+    assert refused.exception.cause == "sniff.not_written"
+
+
+def test_the_sample_holds_a_session_from_hello_to_bye() -> None:
+    told = CliRunner().invoke(app, ["--pcap", str(DOCS / "protocol" / "sample.pcap")]).output
+    assert " refused: " not in told
+    kinds = [line.split(" seq=")[0].rpartition(" ")[2] for line in told.splitlines()]
+    assert (kinds[0], kinds[-1]) == ("Hello", "Bye")
+    assert {"Welcome", "Command", "Acknowledgement", "ReferencePose", "State"} <= set(kinds)

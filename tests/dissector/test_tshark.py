@@ -93,7 +93,7 @@ def test_the_lines_of_the_page_show_a_capture(tmp_path: Path) -> None:
     whole, fields = [line for line in commands_of("protocol.md", "Annex E") if line.startswith("tshark ")]
 
     def said(line: str) -> str:
-        arguments = shlex.split(line.replace("capture.pcap", str(path)))
+        arguments = shlex.split(line.replace("docs/protocol/sample.pcap", str(path)))
         return subprocess.run(
             arguments, capture_output=True, text=True, cwd=ROOT, timeout=60, check=True
         ).stdout
