@@ -11,12 +11,12 @@ from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.reporting.console import out, write_json
 
-app = typer.Typer(help="Every key that can be set.", no_args_is_help=True)
+app = typer.Typer(help="Every key that can be set: value, unit, limits, who sets it.", no_args_is_help=True)
 
 
 @app.callback()
 def config() -> None:
-    """Every key that can be set."""
+    """Every key that can be set: value, unit, limits, who sets it."""
 
 
 @app.command("list", epilog="Example: longreach config list look   or: longreach config list 'vision.look.*'")

@@ -196,7 +196,8 @@ class LocalErrorModelSettings(StrictModel):
 
 
 class PositioningSettings(StrictModel):
-    """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know.
+    """Look-then-move (20)-(22). ``servo_std_m`` and ``strain_std`` (per metre that the step goes along each
+    axis of the camera) are what a rotation alone cannot know.
 
     ``corrections``: motions after the first one that the corrected form may make by odometry alone; none: one
     open-loop step. They follow while odometry's error exceeds ``nudge_m`` and another one is worth it;

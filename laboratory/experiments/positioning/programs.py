@@ -23,7 +23,7 @@ from protocol.errors import LongreachError
 from testbed.demonstration.runs import run_lockstep
 from testbed.lockstep.rig import LockstepRig
 from testbed.reporting.console import bars, table
-from testbed.reporting.outcome import Outcome
+from testbed.reporting.outcome import Outcome, Stage
 from testbed.reporting.run_directory import Choice
 from testbed.scenarios.scenario import fault_orders, load_scenario, load_settings, named_request
 from vision_pc.config.choices import PositioningMethod
@@ -143,16 +143,26 @@ def row_of(outcome: Outcome, world: dict[str, Any]) -> dict[str, Any]:
     """One run as a flat row: what was drawn, true errors after each look, and what stopped it."""
     stages = [outcome.after_look(number) for number in range(1, outcome.looks + 1)]
     true_mm = [(1e3 * stage.true.p_m).tolist() for stage in stages if stage is not None]
+    nees = [_nees(stage) for stage in stages if stage is not None]
     mount = world.get("scene", {}).get("mount", {}).get("rotation_deg", (0.0, 0.0, 0.0))
     return {
         "seed": outcome.seed,
         "payload_kg": world.get("plant", {}).get("payload", {}).get("mass_kg", math.nan),
         "mount_deg": float(np.linalg.norm(mount)),
         "true_mm": true_mm,
+        "nees": nees,
         "failure": outcome.details.get("failure", ""),
         "simulated_s": outcome.simulated_s,
         "event_log_sha256": outcome.details["event_log_sha256"],
     }
+
+
+def _nees(stage: Stage) -> float | None:
+    """Error² over predicted variance of x and y, a half of it; None where no step was made."""
+    if stage.told is None:
+        return None
+    off = stage.true.p_m[:2] - stage.told.mean_m[:2]
+    return float(off @ np.linalg.solve(stage.told.covariance[:2, :2], off)) / 2.0
 
 
 def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
@@ -199,6 +209,7 @@ class ProgramsRow(NamedTuple):
     payload_kg: float
     mount_deg: float
     true_mm: list[list[float]]
+    nees: list[float | None]
     failure: str
     cpu_s: float
 
@@ -245,9 +256,13 @@ def programs_table(done: Ran) -> list[Table]:
         worst = worst_after(done.rows, look)
         under = [int((worst < limit).sum()) for limit in LIMITS_MM]
         figures = [f"{quantile(worst, percent):.2f}" for percent in (50, 95)]
-        cells.append([look, len(worst), *under, *figures, int(np.isinf(worst).sum())])
+        drawn = [row.nees[look - 1] for row in done.rows if len(row.nees or ()) >= look]
+        moved = [nees for nees in drawn if nees is not None]
+        honest = f"{np.mean(moved):.2f} of {len(moved)}" if moved else "–"
+        cells.append([look, len(worst), *under, *figures, honest, int(np.isinf(worst).sum())])
     heads = ["look", "runs", *(f"under {limit:g} mm" for limit in LIMITS_MM), "median mm", "95 % mm"]
-    return [table("worse of true |x| and |y|", [*heads, "not reached"], cells)]
+    heads += ["error² over predicted variance", "not reached"]
+    return [table("worse of true |x| and |y|", heads, cells)]
 
 
 def programs_verdict(done: Ran) -> list[Check]:

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow("new interpreters, one a command")
 WRONG = (  # command, cause, what the line says beside it
     ("dmeo", "usage.unknown_command", "did you mean 'demo'?"),
     ("--verison", "usage.unknown_option", "did you mean --version?"),
-    ("demo --sed 3", "usage.unknown_option", "did you mean --seed"),
+    ("demo --sed 3", "usage.unknown_option", "--seed"),
     ("demo --runs 3", "usage.unknown_option", "longreach demo --help"),
     ("demo --seed", "usage.malformed", "longreach demo --help"),
     ("demo --seed x", "usage.bad_value", "'--seed' = x"),

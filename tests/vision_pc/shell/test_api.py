@@ -22,7 +22,7 @@ async def test_the_whole_procedure_brings_the_tool_inside_5_mm(station: Bench) -
     matched = await station.succeeded("trajectory-matching")
     assert matched["result"]["rotation_std_deg"] < 2.0
     for _ in range(2):
-        moved = await station.succeeded("look-then-move", {"inputs": 1, "tolerance_mm": 5.0, "aim_mm": 0.0})
+        moved = await station.succeeded("look-then-move", {"method": "paper", "inputs": 1, "aim_mm": 0.0})
     error = 1e3 * station.rig.true_error(0.1)
     assert np.abs(error[:2]).max() < 5.0 < 1e3 * before
     result = moved["result"]
@@ -43,7 +43,7 @@ async def test_best_mode_needs_one_look(station: Bench) -> None:
     await station.post("/enable")
     await station.run("orientation-adjustment")
     await station.succeeded("local-track")
-    moved = await station.succeeded("look-then-move", {"method": "corrected"})
+    moved = await station.succeeded("look-then-move")
     assert len(moved["result"]["looks"]) == 2  # one before, one for the verdict
     assert np.abs(station.rig.true_error(0.1)[:2]).max() < 0.005
     assert abs(moved["result"]["measured_miss_mm"]["x"]) < 5.0

@@ -84,6 +84,8 @@ async def test_who_finds_no_place_to_wait_is_answered_at_once(
         ("trajectory-matching", {"method": "magic"}),
         ("line-equation", {"points": 500}),
         ("look-then-move", {"tolerance_mm": -1.0}),
+        ("look-then-move", {"inputs": 2}),  # of the other method
+        ("look-then-move", {"method": "paper", "corrections": 1}),
         ("orientation-adjustment", {"form": 7}),
         ("looking-and-moving", {"gain": 2.0}),
         ("looking-and-moving", {"settle_mm": -1.0}),

@@ -63,7 +63,7 @@ async def test_half_a_wish_is_refused_in_words_and_not_left_out(
     ("program", "more"),
     [
         ("orientation-adjustment", {}),
-        ("look-then-move", {}),
+        ("look-then-move", {"method": "paper"}),
         ("looking-and-moving", {"timeout_s": 0.3}),  # this bench's pictures do not follow its arm
     ],
 )
@@ -80,7 +80,7 @@ async def test_who_names_a_target_drives_to_it_whatever_another_has_clicked_sinc
         kept = station.eyes.targets.aimed
         assert (None if kept is None else kept.id) == aimed
     await station.post("/enable")
-    refused = await station.post(f"/operations/{program}", {"target": "t9"})
+    refused = await station.post(f"/operations/{program}", {"target": "t9"} | more)
     assert (refused.status_code, refused.json()["cause"]) == (404, "refused.unknown_target")
 
 

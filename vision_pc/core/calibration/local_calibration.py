@@ -50,15 +50,10 @@ class LocalCalibration(NamedTuple):
         """Standard deviation (rad) about the least known axis."""
         return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[-1]))
 
-    def goal_covariance(self, p_lc: Array, strain_std: float) -> Array:
-        """Covariance (3×3) m² in B of where a step of ``p_lc`` (3,) ends, as far as calibration decides.
-
-        The rotation's own part, and ``strain_std`` per metre in every direction for the local error of the
-        rigid arm model, of which the part that looks like a rotation is in R_BC but the rest is not.
-        """
+    def goal_covariance(self, p_lc: Array) -> Array:
+        """Covariance (3×3) m² in B of where a step of ``p_lc`` (3,) ends, as far as the rotation decides."""
         lever = hat(p_lc)
-        length_squared = float(p_lc @ p_lc)
-        covariance: Array = lever @ self.covariance @ lever.T + strain_std**2 * length_squared * np.eye(3)
+        covariance: Array = lever @ self.covariance @ lever.T
         return covariance
 
 

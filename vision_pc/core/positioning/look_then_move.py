@@ -123,8 +123,9 @@ def step(look: Look, settings: PositioningSettings, calibration: LocalCalibratio
             f"look-then-move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
         )
     X_BT_ref = transform(look.X_BT[:3, :3], look.X_BT[:3, 3] + p_lc)  # (22)
-    in_base = calibration.goal_covariance(p_lc, settings.strain_std) + settings.servo_std_m**2 * np.eye(3)
+    in_base = calibration.goal_covariance(p_lc) + settings.servo_std_m**2 * np.eye(3)
     in_camera = R_BC.T @ in_base @ R_BC + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    in_camera += np.diag((settings.strain_std * c_delta) ** 2)
     return Step(p_lc, X_BT_ref, expected_end(np.zeros(3), in_camera, settings.tolerance_m))
 
 
