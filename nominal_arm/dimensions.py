@@ -3,6 +3,9 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nominal_arm.description import NominalArm
 
 _LIFT_PIVOT, _BOOM, _ELBOW, _FOREARM, _TOOL = 0, 1, 2, 3, 5  # rows of Table 1
@@ -67,3 +70,30 @@ def boom_dimensions(arm: NominalArm) -> BoomDimensions:
     pivot = (dh[_LIFT_PIVOT].a_m, dh[_LIFT_PIVOT].d_m)
     forearm = math.hypot(dh[_ELBOW].a_m, dh[_FOREARM].d_m)
     return BoomDimensions(pivot, abs(dh[_BOOM].a_m), forearm, -dh[_TOOL].d_m)
+
+
+def skeleton(links: tuple[DhLink, ...], q: tuple[float, ...]) -> NDArray[np.float64]:
+    """Points (n + 1, 3) in B, m: the base's origin, then that of each link's frame; the last is the TCP.
+
+    ``q`` (rad) are the joints; links beyond them stand still. Each link is Rz(θ) Tz(d) Tx(a) Rx(α)
+    (Mäkinen et al. 2023, Table 1).
+    """
+    X = np.eye(4)
+    points = [X[:3, 3].copy()]
+    for index, link in enumerate(links):
+        X = X @ _link(link, q[index] if index < len(q) else 0.0)
+        points.append(X[:3, 3].copy())
+    return np.array(points)
+
+
+def _link(link: DhLink, q: float) -> NDArray[np.float64]:
+    theta = q + link.theta_offset
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(link.alpha), np.sin(link.alpha)
+    return np.array(
+        [
+            [c, -s * ca, s * sa, link.a * c],
+            [s, c * ca, -c * sa, link.a * s],
+            [0.0, sa, ca, link.d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )

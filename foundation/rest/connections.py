@@ -27,6 +27,7 @@ _TOO_MANY = problem(
     HTTPStatus.SERVICE_UNAVAILABLE,
     "refused.too_many_connections",
     "too many connections; only stops are served",
+    advice="Close other pages and programs that ask this service.",
 )
 
 

@@ -13,9 +13,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from foundation.rest.problems import (
     DATA_POLICY,
     SECURITY_HEADERS,
+    Advise,
     Refusal,
     RefusalLog,
     Refuse,
+    advised,
     header_values,
     problem,
     respond_unread,
@@ -41,6 +43,7 @@ class AccessGuard:
         self._origins = access.allowed_origins
         self._tokens = TokenCheck(access.tokens, access.stops, access.public) if access.tokens else None
         self._refusals = refusals
+        self._advise = access.advise
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -54,7 +57,7 @@ class AccessGuard:
         if refusal is None:
             await self._app(scope, receive, sent)
         else:
-            await respond_unread(refusal)(scope, receive, sent)
+            await respond_unread(advised(refusal, self._advise))(scope, receive, sent)
 
     def refusal(self, scope: Scope) -> Refusal | None:
         """Why a request is refused, which is told to ``refusals``; None when it may go on."""
@@ -104,11 +107,19 @@ class BodyLimit:
     ``refuse``: the problem of a request that is refused whatever its body is; asked before anything is read.
     """
 
-    def __init__(self, app: ASGIApp, limit: int, within_s: float, refuse: Refuse | None = None) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        limit: int,
+        within_s: float,
+        refuse: Refuse | None = None,
+        advise: Advise | None = None,
+    ) -> None:
         self._app = app
         self._limit = limit
         self._within_s = within_s
         self._refuse = refuse
+        self._advise = advise
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -125,7 +136,7 @@ class BodyLimit:
             else:
                 refusal = _ambiguous(scope, body)
         if refusal is not None:
-            await respond_unread(refusal)(scope, receive, send)
+            await respond_unread(advised(refusal, self._advise))(scope, receive, send)
         elif body is not None:
             await self._app(scope, _after(body, receive), send)
 

@@ -71,6 +71,13 @@ DATA_HEADERS = SECURITY_HEADERS | {"Content-Security-Policy": DATA_POLICY}
 _SOURCES_TOLD = 256  # apart; those who come later are told together
 Refusal = dict[str, Any]  # a problem document
 Refuse = Callable[[Scope], Refusal | None]
+Advise = Callable[[str], str]
+"""Cause → what to do about it."""
+
+
+def advised(document: Refusal, advise: Advise | None) -> Refusal:
+    """A problem document with what to do about it, where anybody knows."""
+    return document if advise is None else document | {"advice": advise(str(document["cause"]))}
 
 
 class RefusalLog:

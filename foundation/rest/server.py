@@ -21,7 +21,7 @@ from starlette.exceptions import HTTPException
 from foundation.event_log import EventLog
 from foundation.rest.connections import Door, Lanes
 from foundation.rest.guard import AccessGuard, BodyLimit
-from foundation.rest.problems import RefusalLog, Refuse, problem, problem_of, respond
+from foundation.rest.problems import Advise, RefusalLog, Refuse, advised, problem, problem_of, respond
 from foundation.rest.tokens import ANYBODY_HERE, Access
 from protocol.errors import LongreachError
 
@@ -86,24 +86,24 @@ def install_problems(
     status_of_cause: Mapping[str, HTTPStatus],
     explain: Explain = invalid_request,
     refuse: Refuse | None = None,
-    advise: Callable[[str], str] | None = None,
+    advise: Advise | None = None,
 ) -> None:
     """Make every error of ``app`` a problem document, and limit request bodies in size and time.
 
     ``explain``: the problem of a request that does not fit its schema. ``refuse``: see BodyLimit.
     ``advise``: what to do about a cause; documents have it as ``advice``.
     """
-    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES, within_s=BODY_WITHIN_S, refuse=refuse)
+    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES, within_s=BODY_WITHIN_S, refuse=refuse, advise=advise)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        return respond(explain(error) | {"instance": request.url.path})
+        return respond(advised(explain(error) | {"instance": request.url.path}, advise))
 
     @app.exception_handler(HTTPException)
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:
         cause = "request." + HTTPStatus(error.status_code).name.lower()
         document = problem(error.status_code, cause, str(error.detail), instance=request.url.path)
-        response = respond(document)
+        response = respond(advised(document, advise))
         response.headers.update(error.headers or {})
         return response
 
@@ -111,7 +111,7 @@ def install_problems(
     @app.exception_handler(Exception)
     async def failed(request: Request, error: Exception) -> JSONResponse:
         document = problem_of(error, status_of_cause) | {"instance": request.url.path}
-        return respond(document | ({"advice": advise(document["cause"])} if advise else {}))
+        return respond(advised(document, advise))
 
 
 _SWITCH_S = 0.0005  # a tenth of Python's own: how long a busy thread keeps the others from the interpreter

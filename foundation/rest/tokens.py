@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 from starlette.types import Scope
 
 from foundation.configuration import StrictModel
-from foundation.rest.problems import Refusal, header_values, problem
+from foundation.rest.problems import Advise, Refusal, header_values, problem
 from foundation.secret_source import SecretSource, read_secret
 from protocol.errors import ConfigurationError
 
@@ -127,7 +127,7 @@ class Access(NamedTuple):
 
     ``tokens``: by role; none: nobody is asked for one. ``stops``: paths that whoever may look may POST to.
     ``public``: paths that may be read without a token: a page that asks for one, and nothing else.
-    ``allowed_origins``: pages of others that may ask, in lower case.
+    ``allowed_origins``: pages of others that may ask, in lower case. ``advise``: what to do about a refusal.
     """
 
     allowed_hosts: tuple[str, ...] = ()
@@ -135,6 +135,7 @@ class Access(NamedTuple):
     stops: frozenset[str] = frozenset()
     public: frozenset[str] = frozenset()
     allowed_origins: frozenset[str] = frozenset()
+    advise: Advise | None = None
 
 
 ANYBODY_HERE = Access()

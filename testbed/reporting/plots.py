@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
-from nominal_arm.dimensions import DhLink
+from nominal_arm.dimensions import DhLink, skeleton
 from testbed.reporting.outcome import LIMIT_M, Stage
-from vision_pc.application.console.advice import skeleton
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import httpx
 import pytest
 from fastapi import FastAPI
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel
+from foundation.rest.guard import AccessGuard
+from foundation.rest.problems import RefusalLog
 from foundation.rest.server import install_problems
 from foundation.rest.tokens import Access, Role, TokenSources, configured_access, is_loopback
 from foundation.secret_source import SecretSource, write_new_secret
@@ -216,3 +219,11 @@ def test_a_service_does_not_start_beyond_loopback_without_a_token(module: str, s
     assert "configuration.token_wanted" in done.stderr
     assert f"--set {setting}.tokens.operate.file=FILE" in done.stderr
     assert not done.stdout
+
+
+async def test_a_refusal_says_what_to_do_where_the_service_knows() -> None:
+    check = AccessGuard(FastAPI(), ACCESS._replace(advise=lambda cause: f"mend {cause}"), RefusalLog(None))
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(check), base_url="http://127.0.0.1") as client:
+        answer = await client.get("/state")
+    assert answer.status_code == 401
+    assert answer.json()["advice"] == "mend refused.no_token"

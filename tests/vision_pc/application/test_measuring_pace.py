@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vision_pc.application.console.advice import MeasuringPace
+from vision_pc.application.console.overview import MeasuringPace
 
 
 def times(joints_at: object, until_s: float = 10.0) -> int:

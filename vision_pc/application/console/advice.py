@@ -1,69 +1,5 @@
 """What to do about a cause: one sentence for the person who has to."""
 
-import itertools
-from collections import deque
-from collections.abc import Mapping
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-
-from nominal_arm.dimensions import DhLink
-from vision_pc.core.se3 import Array
-
-
-def skeleton(links: tuple[DhLink, ...], q: tuple[float, ...]) -> Array:
-    """Points (n + 1, 3) in B, m: the base's origin, then that of each link's frame; the last is the TCP.
-
-    ``q`` (rad) are the joints; links beyond them stand still. Each link is Rz(θ) Tz(d) Tx(a) Rx(α)
-    (Mäkinen et al. 2023, Table 1).
-    """
-    X = np.eye(4)
-    points = [X[:3, 3].copy()]
-    for index, link in enumerate(links):
-        X = X @ _link(link, q[index] if index < len(q) else 0.0)
-        points.append(X[:3, 3].copy())
-    return np.array(points)
-
-
-def _link(link: DhLink, q: float) -> Array:
-    theta = q + link.theta_offset
-    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(link.alpha), np.sin(link.alpha)
-    return np.array(
-        [
-            [c, -s * ca, s * sa, link.a * c],
-            [s, c * ca, -c * sa, link.a * s],
-            [0.0, sa, ca, link.d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
-
-
-_MOVING_S = 0.5
-_AT_REST_S = 2.5  # somebody may still walk into the picture
-_MOVED_RAD = 2e-3  # a joint: more than valves leak in a second
-
-
-class MeasuringPace:
-    """Twice a second while the arm moves, seldom at rest, where nothing changes that joints tell of."""
-
-    def __init__(self) -> None:
-        self._last_s = -np.inf
-        self._joints_rad: NDArray[np.float64] | None = None
-
-    def due(self, now_s: float, joints_rad: NDArray[np.float64] | None) -> bool:
-        """Whether to measure now; if so, that counts as done. ``joints_rad`` (n,) is None while unknown."""
-        rests = (
-            joints_rad is not None
-            and self._joints_rad is not None
-            and bool(np.all(np.abs(joints_rad - self._joints_rad) < _MOVED_RAD))
-        )
-        if now_s - self._last_s < (_AT_REST_S if rests else _MOVING_S):
-            return False
-        self._last_s, self._joints_rad = now_s, joints_rad
-        return True
-
-
 _OF_CAUSE = {
     "fault.plant_link_lost": "Look after the fieldbus and the plant; then reset and enable.",
     "fault.plant_cycle_frozen": "The plant stands still: start it anew, then reset and enable.",
@@ -95,7 +31,8 @@ _OF_CAUSE = {
     "refused.busy": "Wait for the operation that runs, or cancel it.",
     "refused.disabled": "Hold ENABLE first.",
     "refused.moving": "Wait until the arm rests, or stop it.",
-    "refused.not_calibrated": "Run the calibration step first.",
+    "refused.not_calibrated": "Step 2 first: Calibrate (POST /operations/local-track; for method paper"
+    " trajectory-matching).",
     "refused.unreachable": "Choose a target within the arm's reach, or turn the tool.",
     "refused.joint_limit": "Go in smaller steps, or turn the tool.",
     "refused.outside_workspace": "Choose a target inside the workspace.",
@@ -177,6 +114,102 @@ _OF_CAUSE = {
     "target.outside_picture": "Click further from the rim, or jog until the place is in the middle.",
     "target.wrong_size": "Click a hole of the size that is drilled, or set the diameters that are wanted.",
     "motion.not_settled": "The arm still swings: wait, then repeat the step.",
+    "link.degraded": "Look at which part does not answer, and start it.",
+    "link.fault_api_ended": "The emulator is ending: start it anew.",
+    "link.no_address": "Check vision.link.host: that name leads nowhere.",
+    "link.no_clock": "Wait a second until the two clocks are compared, then repeat.",
+    "link.not_connected": "Start the controller, or check vision.link.host and port.",
+    "link.silent": "Start the controller, or look after the network between the two.",
+    "link.recording_ended": "The folder of pictures has been shown to its end: start the service anew.",
+    "link.renderer_ended": "Start the emulator anew.",
+    "link.state_gap": "States got lost on the network: repeat the step.",
+    "link.state_too_old": "Close other work on both machines, or look after the network; then repeat.",
+    "link.unanswered": "Look whether the controller runs and is reachable; then repeat.",
+    "link.link_timeout": "Look whether the controller runs and is reachable; the page goes on by itself"
+    " when it is.",
+    "link.peer_restarted": "The controller was started anew: enable, and calibrate again.",
+    "link.shutdown": "The controller was ended: start it.",
+    "refused.already_ended": "It is over: nothing is to be cancelled.",
+    "refused.bad_setting": "Give a value inside the range that is named.",
+    "refused.bad_target": "Give a place inside the picture, and the members that are named.",
+    "refused.disturbance": "Mend the disturbance of the installed package.",
+    "refused.fault_parameter": "Give the fault's parameters as GET /faults/kinds lists them.",
+    "refused.faults_not_allowed": "Start with --allow-faults.",
+    "refused.foreign_host": "Ask under a name of this machine, or add it to the allowed hosts.",
+    "refused.foreign_origin": "Open the console at this service's own address.",
+    "refused.no_such_fault": "It is over, or was never there: see GET /faults.",
+    "refused.unknown_fault": "Choose a fault that GET /faults/kinds lists.",
+    "refused.unknown_marker": "Choose a marker of scene.yaml.",
+    "refused.truth_hidden": "Start with --show-truth.",
+    "refused.key_reused": "Use a new Idempotency-Key for another request.",
+    "refused.key_spent": "Use a new Idempotency-Key.",
+    "refused.no_look_yet": "Look first: POST /operations/look.",
+    "refused.no_token": "Sign in with the token: in containers `docker compose exec vision cat"
+    " /var/lib/longreach-tokens/operate`, else the file of vision.api.tokens.operate.",
+    "refused.wrong_token": "Take the token from the file of vision.api.tokens.operate; it changes when it"
+    " is made anew.",
+    "refused.not_negotiated": "Use a controller of protocol 1.1 or newer, or another program.",
+    "refused.not_streaming": "The controller ended the stream: repeat the step.",
+    "refused.overtaken": "Another reference came in between: one client at a time.",
+    "refused.recording_failed": "Look after the disk, or start without recording.",
+    "refused.too_many_connections": "Close other pages and programs that ask this service.",
+    "refused.too_many_followers": "Close another console or viewer.",
+    "refused.unknown_operation": "See GET /operations: it is forgotten, or of another run.",
+    "refused.unknown_program": "See GET /programs for their names.",
+    "refused.plant_link_down": "The controller does not hear the plant: look after the fieldbus and the"
+    " plant, then repeat.",
+    "refused.plant_not_ready": "Start the pump and wait for pressure; then enable.",
+    "refused.reference_link_down": "Wait until vision and controller are connected again.",
+    "refused.not_in_error": "Nothing is latched: enable.",
+    "refused.already_done": "It is done already.",
+    "refused.not_finite": "Give numbers.",
+    "refused.not_unit_quaternion": "Give a quaternion of length 1, w first.",
+    "refused.singular": "Turn the wrist away from its straight pose by jogging, then repeat.",
+    "refused.too_fast": "Ask for a longer time.",
+    "refused.too_far": "Ask for a smaller step.",
+    "refused.bad_duration": "Ask for a duration inside the limits, or 0: by the controller's limits.",
+    "refused.empty_path": "Give at least one waypoint.",
+    "refused.too_many_waypoints": "Give fewer waypoints.",
+    "refused.unknown_command": "Use a controller that knows the command.",
+    "refused.repeated_command_id": "Repeat the command.",
+    "refused.streaming": "Wait until the closed loop has ended, or stop it.",
+    "refused.stale": "The reference came too late: close other work, look after the network; then repeat.",
+    "refused.cancelled": "It was cancelled. Repeat the step when you are ready.",
+    "refused.lost": "Repeat the step.",
+    "refused.hand_eye.camera_covariance": "Give a covariance of the lens that is symmetric and positive.",
+    "refused.hand_eye.count": "Give as many poses of the hand as of the camera.",
+    "refused.hand_eye.duplicate": "Leave out the sample that is there twice.",
+    "refused.hand_eye.format": "Give a file that this service wrote, or see docs/hand_eye.md for the forms.",
+    "refused.hand_eye.left_handed": "Mirrored poses: check the axes of the file.",
+    "refused.hand_eye.marker_id": "Hang the marker that the session names.",
+    "refused.hand_eye.name": "Use letters, digits, - and _ for the session's name.",
+    "refused.hand_eye.no_drawing": "Begin the session with a drawing of the cabinet.",
+    "refused.hand_eye.not_a_pose": "Give poses: a rotation and three numbers in metres.",
+    "refused.hand_eye.not_finite": "Give numbers.",
+    "refused.hand_eye.not_orthonormal": "Give rotations: check the file's convention.",
+    "refused.hand_eye.session_exists": "Choose another name, or resume that session.",
+    "refused.hand_eye.stale_camera": "The camera was calibrated anew since: begin a new session.",
+    "refused.hand_eye.units": "Give metres and radians, or name the unit.",
+    "refused.hand_eye.unknown_sample": "Choose a sample that the session lists.",
+    "refused.hand_eye.unknown_session": "Choose a session that the list names.",
+    "refused.bad_tag": "Vision and controller have different keys: give both the same.",
+    "refused.incompatible_version": "Use a controller and a vision PC of the same protocol version.",
+    "refused.key_not_configured": "The controller has no key: give it one, or take vision's away.",
+    "refused.link_timeout": "Look whether the controller runs and is reachable; then repeat.",
+    "refused.not_authenticated": "The controller wants a key: set vision.link.link_key.",
+    "refused.peer_restarted": "The controller was started anew: enable, and calibrate again.",
+    "refused.session_occupied": "Another client holds the controller: end it, or wait.",
+    "refused.shutdown": "The controller is ending: start it anew.",
+    "refused.unknown_key": "The controller knows another key: give both the same.",
+    "refused.unknown_session": "The session has ended: wait until the two are connected again.",
+    "refused.wrong_arm": "Vision and controller have different arm.yaml files: give both the same.",
+    "request.duplicate_member": "Name each member once.",
+    "request.invalid": "Mend the member that is named; /docs has the schema.",
+    "request.not_found": "See /docs for the paths.",
+    "request.repeated_header": "Send that header once.",
+    "request.too_large": "Send a smaller body.",
+    "request.too_slow": "Send the whole request within the time that is named.",
+    "recording.disk_low": "Make room on the disk.",
 }
 _OF_AREA = {
     "fault": "Find the cause; then reset and enable.",
@@ -190,72 +223,15 @@ _OF_AREA = {
 _ELSE = "See the event log of the vision PC."
 
 
-def advice(cause: str) -> str:
-    """What to do about ``cause``; of a cause without a sentence of its own, that of its area."""
-    return _OF_CAUSE.get(cause) or _OF_AREA.get(cause.partition(".")[0], _ELSE)
+_LATE = ("link", "measurement", "motion", "fault")  # areas whose causes a machine that cannot keep up has
+_OVERLOADED = "This machine does not keep up: close other work on it first. "
 
 
-URGENT, HIGH, LOW = 1, 2, 3  # at once; soon; when there is time
-_KEPT = 100
+def advice(cause: str, overloaded: bool = False) -> str:
+    """What to do about ``cause``; of a cause without a sentence of its own, that of its area.
 
-
-class Condition(NamedTuple):
-    """Something that is wrong at present. ``priority``: URGENT, HIGH or LOW."""
-
-    priority: int
-    detail: str
-
-
-class Alarm(NamedTuple):
-    """One alarm. Times are seconds since 1970; ``ended_s`` is None while it lasts."""
-
-    number: int
-    cause: str
-    priority: int
-    detail: str
-    began_s: float
-    ended_s: float | None
-
-
-class AlarmList:
-    """The newest alarms, active and ended, bounded in number."""
-
-    def __init__(self) -> None:
-        self._active: dict[str, Alarm] = {}
-        self._ended: deque[Alarm] = deque(maxlen=_KEPT)
-        self._numbers = itertools.count(1)
-
-    def update(self, now_s: float, conditions: Mapping[str, Condition]) -> None:
-        """Take note of all that is wrong at ``now_s``, by cause; what is missing has ended."""
-        for cause in [cause for cause in self._active if cause not in conditions]:
-            self._ended.appendleft(self._active.pop(cause)._replace(ended_s=now_s))
-        for cause, (priority, detail) in conditions.items():
-            known = self._active.get(cause)
-            if known is None:
-                number = next(self._numbers)
-                self._active[cause] = Alarm(number, cause, priority, detail, now_s, None)
-            else:
-                self._active[cause] = known._replace(priority=priority, detail=detail)
-
-    def happened(self, now_s: float, cause: str, detail: str, priority: int = LOW) -> None:
-        """Take note of what was over as soon as it had happened, such as an operation that failed."""
-        self._ended.appendleft(Alarm(next(self._numbers), cause, priority, detail, now_s, now_s))
-
-    @property
-    def rows(self) -> list[Alarm]:
-        """The active ones, the most urgent and then the newest first; then those that ended, newest first."""
-        active = sorted(self._active.values(), key=lambda alarm: (alarm.priority, -alarm.number))
-        return [*active, *self._ended]
-
-
-def alarm_json(alarm: Alarm) -> dict[str, Any]:
-    """An alarm with what to do about it."""
-    return {
-        "number": alarm.number,
-        "cause": alarm.cause,
-        "priority": alarm.priority,
-        "detail": alarm.detail,
-        "advice": advice(alarm.cause),
-        "began_at": alarm.began_s,
-        "ended_at": alarm.ended_s,
-    }
+    ``overloaded``: whether the machine keeps up; where it does not, that comes first.
+    """
+    area = cause.partition(".")[0]
+    sentence = _OF_CAUSE.get(cause) or _OF_AREA.get(area, _ELSE)
+    return _OVERLOADED + sentence if overloaded and area in _LATE else sentence

@@ -4,12 +4,15 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from nominal_arm.dimensions import DhLink
+import numpy as np
+from numpy.typing import NDArray
+
+from nominal_arm.dimensions import DhLink, skeleton
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
 from protocol.reference_messages import FLAG_PLANT_LINK_OK, State
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.console.advice import HIGH, LOW, URGENT, AlarmList, Condition, alarm_json, skeleton
+from vision_pc.application.console.alarms import HIGH, LOW, URGENT, AlarmList, Condition, alarm_json
 from vision_pc.application.console.overlay import PredictedEllipse, overlay
 from vision_pc.application.ports import CameraStatus, Seen
 from vision_pc.application.results import JSON, JudgedLook, calibration_json, look_json, pose_json
@@ -18,6 +21,31 @@ from vision_pc.core.se3 import Array
 
 _ALARMS_SHOWN = 20
 _ANEW = "the machine was started anew: local calibration and targets are void"
+
+
+_MOVING_S = 0.5
+_AT_REST_S = 2.5  # somebody may still walk into the picture
+_MOVED_RAD = 2e-3  # a joint: more than valves leak in a second
+
+
+class MeasuringPace:
+    """Twice a second while the arm moves, seldom at rest, where nothing changes that joints tell of."""
+
+    def __init__(self) -> None:
+        self._last_s = -np.inf
+        self._joints_rad: NDArray[np.float64] | None = None
+
+    def due(self, now_s: float, joints_rad: NDArray[np.float64] | None) -> bool:
+        """Whether to measure now; if so, that counts as done. ``joints_rad`` (n,) is None while unknown."""
+        rests = (
+            joints_rad is not None
+            and self._joints_rad is not None
+            and bool(np.all(np.abs(joints_rad - self._joints_rad) < _MOVED_RAD))
+        )
+        if now_s - self._last_s < (_AT_REST_S if rests else _MOVING_S):
+            return False
+        self._last_s, self._joints_rad = now_s, joints_rad
+        return True
 
 
 class Glimpse(NamedTuple):
@@ -126,7 +154,7 @@ class Overview:
             "anew_at": self.anew_at,
             "tolerance_mm": 1e3 * seen.tolerance_m,
             "overlay": None if view is None else overlay(view, seen.clearance_m, seen.tolerance_m, predicted),
-            "alarms": [alarm_json(alarm) for alarm in self.alarms.rows[:_ALARMS_SHOWN]],
+            "alarms": [alarm_json(alarm, bool(seen.overload)) for alarm in self.alarms.rows[:_ALARMS_SHOWN]],
         }
 
     def _points(self, state: State | None) -> list[list[float]]:

@@ -107,7 +107,11 @@ def create_app(
         docs_url=None,
         redoc_url=None,
     )
-    install_problems(app, STATUS_OF_CAUSE, advise=advice)
+
+    def advised(cause: str) -> str:
+        return advice(cause, bool(application.overload()))
+
+    install_problems(app, STATUS_OF_CAUSE, advise=advised)
     add_docs(app)
     add_console(app, Console(application, operations, Overview(application.links), home), emulator_face)
     if home is not None:

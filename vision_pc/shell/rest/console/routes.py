@@ -27,8 +27,15 @@ from foundation.rest.tokens import Role
 from protocol.errors import LongreachError, RequestRefused
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.console.advice import MeasuringPace, advice
-from vision_pc.application.console.overview import Glimpse, Overview, ellipse_of, glimpse, told_by
+from vision_pc.application.console.advice import advice
+from vision_pc.application.console.overview import (
+    Glimpse,
+    MeasuringPace,
+    Overview,
+    ellipse_of,
+    glimpse,
+    told_by,
+)
 from vision_pc.application.results import JSON
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.rest.operations import Operation, Operations
