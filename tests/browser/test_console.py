@@ -41,6 +41,7 @@ def test_the_procedure_by_clicks_or_keys_alone_ends_inside_the_tolerance(
 ) -> None:
     with console(browser) as (page, bench, _):
         assert page.locator("#start-look-then-move").is_disabled()
+        expect(page.locator("button.primary")).to_have_id("enable")
         expect(page.locator("#procedure-wants")).to_have_text("hold ENABLE first")
         page.keyboard.press("Escape")
         expect(page.locator("#answer")).to_contain_text("What was running has ended; the arm is disabled.")
@@ -51,10 +52,11 @@ def test_the_procedure_by_clicks_or_keys_alone_ends_inside_the_tolerance(
         is_state(page, "standby")
         expect(page.locator("#procedure-wants")).to_have_text("")
         for kind in ("orientation-adjustment", "local-track", "look-then-move"):
+            expect(page.locator("button.primary")).to_have_id(f"start-{kind}")  # what is due is marked, alone
             hold(page, f"#start-{kind}", by_key)
             note(page, kind, "done")
-        expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, and so are the 95 % intervals.")
-        expect(page.locator("#verdict-told")).to_contain_text(re.compile(r"Told before: .* inside"))
+        expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, and its 95 % interval is, too.")
+        expect(page.locator("#verdict-told")).to_contain_text(re.compile(r"Predicted before the drive: .* inside"))
         assert max(abs(1e3 * bench.rig.true_error(0.1)[:2])) < 5.0
         if by_key:
             reach(page, "#jog-x-plus")

@@ -141,10 +141,11 @@ def test_what_is_out_of_reach_is_told_at_the_click_and_refused_at_go(browser: Br
         with opened(browser, url) as page:
             second_picture(page)
             expect(page.locator("#seen-told")).to_contain_text("object seen")
-            click_until(page, "OUT OF REACH of one step. Jog nearer")
-            expect(page.locator("#target-rows li.aimed")).to_contain_text("OUT OF REACH")
+            click_until(page, "it sinks, and what is clicked is lost")  # and nothing is measured
             hold(page, "#enable")
             is_state(page, "standby")
+            click_until(page, "OUT OF REACH of one step. Jog nearer")
+            expect(page.locator("#target-rows li.aimed")).to_contain_text("OUT OF REACH")
             hold(page, "#start-local-track")
             note(page, "local-track", "done")
             began = bench.rig.q.copy()
@@ -158,10 +159,7 @@ def test_what_is_out_of_reach_is_told_at_the_click_and_refused_at_go(browser: Br
                 page.locator("#jog-step").select_option("100")
                 page.locator("#jog-x-plus").click(force=True)
                 page.wait_for_timeout(300)
-                if (
-                    "refused.unreachable"
-                    in page.locator('#procedure li[data-kind="home"] .note').inner_text()
-                ):
+                if "refused.unreachable" in page.locator("#jog-told").inner_text():
                     break
             expect(page.locator("#alarm-rows")).to_contain_text("Choose a target within the arm's reach")
 
@@ -235,10 +233,11 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
         bench.eyes.picture_s = 0.5
         with opened(browser, url) as page:
             second_picture(page)
-            click_until(page, "Next: ENABLE, then click it once more")
+            click_until(page, "The arm is disabled")
             expect(page.locator("#start-visit")).to_be_hidden()
             hold(page, "#enable")
             is_state(page, "standby")
+            click_until(page, "Next: local calibration (step 2), then Go.")
             page.set_viewport_size({"width": 390, "height": 844})
             click_until(page, "Next: local calibration (step 2), then Go.")
             expect(page.locator("#answer")).to_be_in_viewport()  # though its place is far below

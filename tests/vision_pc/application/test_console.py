@@ -84,6 +84,7 @@ def test_what_happened_is_kept_and_what_is_kept_is_bounded() -> None:
 def test_overload_is_told_first_of_what_it_may_have_caused() -> None:
     assert advice("link.camera_silent", overloaded=True).startswith("This machine does not keep up")
     assert advice("refused.no_token", overloaded=True) == advice("refused.no_token")
+    assert advice("refused.fault_overrun") == advice("fault.overrun")
 
 
 @pytest.mark.parametrize("fault", [fault for fault in FaultCode if fault is not FaultCode.NONE])

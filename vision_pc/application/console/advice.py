@@ -232,6 +232,8 @@ def advice(cause: str, overloaded: bool = False) -> str:
 
     ``overloaded``: whether the machine keeps up; where it does not, that comes first.
     """
+    if cause.startswith("refused.fault_"):  # a motion that a fault ended
+        cause = f"fault.{cause.removeprefix('refused.fault_')}"
     area = cause.partition(".")[0]
     sentence = _OF_CAUSE.get(cause) or _OF_AREA.get(area, _ELSE)
     return _OVERLOADED + sentence if overloaded and area in _LATE else sentence

@@ -217,7 +217,7 @@ class Console:
             "service": {"instance": self._instance, "started_at": self._started_s},
             "watchers": self.state.followers,
             "state": None if seen.state is None else arm_json(seen.state),
-            "operations": [_operation_json(operation) for operation in operations],
+            "operations": [_operation_json(each, bool(seen.overload)) for each in operations],
             "told": told,
             "looked_at": None if seen.look is None else now_s - _age_s(seen.look.look.time_ns),
         } | self._overview.document(seen, ellipse_of(told))
@@ -291,7 +291,7 @@ def _predicted_end(operations: list[Operation]) -> JSON | None:
     return told_by(moving[-1].kind, moving[-1].result) if moving else None
 
 
-def _operation_json(operation: Operation) -> JSON:
+def _operation_json(operation: Operation, overloaded: bool) -> JSON:
     cause = None if operation.problem is None else str(operation.problem["cause"])
     return {
         "id": operation.id,
@@ -303,5 +303,5 @@ def _operation_json(operation: Operation) -> JSON:
         "started_at": operation.started_at,
         "ended_at": operation.ended_at,
         "cause": cause,
-        "advice": None if cause is None else advice(cause),
+        "advice": None if cause is None else advice(cause, overloaded),
     }

@@ -1,22 +1,22 @@
 // What the operator asks for: the group, the procedure, jogging. Each is one public request, shown as a curl line.
 
 import { curl, send } from './api.js';
-import { ago, attribute, byId, clock, make, signed, write } from './dom.js';
+import { ago, attribute, byId, clock, make, millimetres, write } from './dom.js';
 import { onHold } from './hold.js';
 
 const GROUP = [
   { id: 'enable', words: 'ENABLE', path: '/enable', hold: true },
   { id: 'disable', words: 'Disable', path: '/disable' },
   { id: 'reset', words: 'Reset', path: '/reset', hold: true },
-  { id: 'release', words: 'Release', path: '/emergency-release', hold: true },
+  { id: 'release', words: 'Release e-stop', path: '/emergency-release', hold: true },
 ];
 const STEPS = [
   { kind: 'look', words: 'Look', verb: 'Look', free: true },
   { kind: 'orientation-adjustment', words: '1 Turn parallel', verb: 'Turn', aims: true },
   { kind: 'local-track', words: '2 Local calibration', verb: 'Calibrate', method: 'corrected' },
   { kind: 'trajectory-matching', words: '2 Local calibration', verb: 'Calibrate', method: 'paper' },
-  { kind: 'look-then-move', words: '3 Go to the target', verb: 'Go', primary: true, aims: true },
-  { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo', aims: true },
+  { kind: 'look-then-move', words: '3 Go to the target', verb: 'Go', aims: true, calibrated: true },
+  { kind: 'looking-and-moving', words: '4 Follow the camera', verb: 'Follow', aims: true, calibrated: true },
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
 ];
 const FRESH_MS = 8000;
@@ -30,9 +30,12 @@ let shot = null;
 let may = null; // operate; null: not known yet
 let saidFor = null;
 let saidWhile = null; // the group's state for which what was said is advice
+let chosen = false; // the method, by whoever looks at this page
 let goal = () => null; // [id, words] of the target that is shown; null while that is not known
 
 const method = () => byId('method').value;
+/** Whether the valves are shut, so that the arm sinks and what was clicked is lost. */
+export const sinks = () => shot?.state?.group_state === 'disabled';
 const enabled = () => shot?.state?.group_state === 'standby';
 export const running = () => shot?.operations.find((operation) => !operation.result && ['queued', 'running'].includes(operation.state));
 
@@ -47,7 +50,7 @@ export function installActions() {
     byId('jog').append(button(`${sign < 0 ? '−' : '+'} ${axis}`, () => jogRequest(axis, sign), { id: `jog-${axis}${sign < 0 ? '-minus' : '-plus'}` }));
   }
   byId('copy').addEventListener('click', () => navigator.clipboard?.writeText(byId('curl').textContent));
-  byId('method').addEventListener('change', () => update(shot, may));
+  byId('method').addEventListener('change', () => { chosen = true; update(shot, may); });
   document.addEventListener('stopped', () => advise(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}. ${STILL_MOVES[shot?.state?.group_state === 'disabled' ? 'shut' : 'held']}`));
 }
 
@@ -70,8 +73,8 @@ export function addSteps(steps, place) {
 }
 
 /** A button that sends what `request()` says, by a press or held. */
-export function button(words, request, { id, hold, primary } = {}) {
-  const made = make('button', { type: 'button', id, class: primary ? 'primary' : '' }, words);
+export function button(words, request, { id, hold } = {}) {
+  const made = make('button', { type: 'button', id }, words);
   if (hold) made.append(make('small', {}, 'hold'));
   const act = async () => {
     const asked = request();
@@ -93,7 +96,7 @@ export function tellCurl(element, request) {
 }
 
 function row(step) {
-  const start = button(step.verb, () => stepRequest(step), { id: `start-${step.kind}`, hold: !step.free, primary: step.primary });
+  const start = button(step.verb, () => stepRequest(step), { id: `start-${step.kind}`, hold: !step.free });
   attribute(start, 'aria-label', `${step.words}${step.free ? '' : ': hold'}`);
   const cancel = make('button', { type: 'button', id: `cancel-${step.kind}`, hidden: true }, 'Cancel');
   const ending = () => { const operation = running(); return operation && ['POST', `/operations/${operation.id}/cancel`]; };
@@ -162,7 +165,12 @@ export function update(snapshot, operate) {
   able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, state?.emergency_latched ? 'release the emergency stop first' : state ? 'no fault is latched' : why);
   able('release', may && Boolean(state?.emergency_latched), state ? 'no emergency stop is latched' : why);
   write(byId('procedure-wants'), shot?.link.tries_valves ? 'this controller only tries out valves' : (may && WANTED[state?.group_state]) || '');
-  for (const [step, line] of rows) showStep(step, line, busy, why);
+  followMethod();
+  const due = may && !busy ? dueStep() : null;
+  byId('enable').classList.toggle('primary', due === 'enable');
+  for (const [step, line] of rows) showStep(step, line, busy, why, due);
+  const jog = shot?.operations.findLast((operation) => operation.kind === 'move');
+  write(byId('jog-told'), jog && jog !== busy ? words(jog) : '');
   for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, why || WHY_NOT[state?.group_state]);
 }
 
@@ -181,21 +189,40 @@ function able(id, is, why) {
   attribute(made, 'title', is ? '' : why);
 }
 
-function showStep(step, line, busy, why) {
+/** What comes next on the way to the target; null where nothing is to be done. */
+function dueStep() {
+  if (shot?.state?.group_state === 'disabled' && !shot.link.tries_valves) return 'enable';
+  if (!enabled()) return null;
+  if (calibrated()) return 'look-then-move';
+  if (!succeeded('orientation-adjustment')) return 'orientation-adjustment';
+  return method() === 'corrected' ? 'local-track' : 'trajectory-matching';
+}
+
+const succeeded = (kind) => shot.operations.findLast((operation) => operation.kind === kind && operation.state === 'succeeded' && !(operation.ended_at < shot.anew_at));
+
+/** Who has not chosen a method sees that by which was calibrated last, whoever did it. */
+function followMethod() {
+  if (chosen || !shot || calibrated()) return;
+  if (shot.tracked) byId('method').value = 'corrected';
+  else if (shot.calibration) byId('method').value = 'paper';
+}
+
+function showStep(step, line, busy, why, due) {
   line.hidden = (Boolean(step.method) && step.method !== method()) || step.wanted?.() === false;
-  const jogs = step.kind === 'home' ? 'move' : ''; // what became of a jog is told in this row
-  const last = shot?.operations.findLast((operation) => [step.kind, jogs].includes(operation.kind));
+  const last = shot?.operations.findLast((operation) => operation.kind === step.kind);
   const runs = busy && busy === last;
   const known = !step.aims || goal();
-  able(`start-${step.kind}`, may && !busy && known && ready(step), why || (ready(step) ? 'the targets are not known yet' : step.of ? `while ${step.of}` : WHY_NOT[shot.state.group_state]));
+  const wants = step.calibrated && enabled() && !calibrated(step) ? 'step 2, Calibrate, comes first' : '';
+  able(`start-${step.kind}`, may && !busy && known && !wants && ready(step), why || wants || (ready(step) ? 'the targets are not known yet' : step.of ? `while ${step.of}` : WHY_NOT[shot.state.group_state]));
+  byId(`start-${step.kind}`).classList.toggle('primary', due === step.kind);
   byId(`start-${step.kind}`).hidden = Boolean(runs);
   byId(`cancel-${step.kind}`).hidden = !runs || !may;
   const bar = line.querySelector('progress');
   bar.hidden = !runs;
   if (runs) { if (last.progress === null) bar.removeAttribute('value'); else bar.value = last.progress; }
   const note = line.querySelector('.note');
-  write(note, last ? (last.kind === jogs ? 'jog: ' : '') + words(last) : hint(step));
-  note.classList.toggle('failed', last?.state === 'failed');
+  write(note, last ? words(last) : hint(step, due));
+  note.classList.toggle('failed', last?.state === 'failed' && !isOver(last));
 }
 
 /** Whether the group's state lets `step` begin. */
@@ -204,10 +231,12 @@ function ready(step) {
   return step.free ? shot?.state : enabled();
 }
 
-const calibrated = () => Boolean(method() === 'corrected' ? shot?.tracked : shot?.calibration);
+/** Whether what Go (or, of `step`, either calibration) needs is there. */
+const calibrated = (step) => Boolean((step?.kind === 'looking-and-moving' && (shot?.tracked || shot?.calibration)) || (method() === 'corrected' ? shot?.tracked : shot?.calibration));
 
-function hint(step) {
-  if (step.kind === 'look-then-move') return calibrated() ? `ready${toward(goal())}` : 'after step 2';
+function hint(step, due) {
+  if (step.calibrated) return calibrated(step) ? `ready${toward(goal())}` : 'after step 2, Calibrate';
+  if (step.kind === due) return 'next';
   if (step.kind === 'visit') return 'calibrates where that is wanted';
   return '';
 }
@@ -216,18 +245,21 @@ const toward = (target) => (target?.words ? `: to ${target.words}` : '');
 
 /** What is to be held next to come to the target. */
 export function nextStep() {
-  if (!enabled()) return 'Next: ENABLE, then click it once more: a disabled arm sinks, and loses its targets.';
+  if (!enabled()) return 'Next: reset and enable, then click it once more.';
   return calibrated() ? 'Hold Go to drive there.' : 'Next: local calibration (step 2), then Go.';
 }
 
 const visited = (targets, worst) => targets.map((each) => `${each.target} ${worst({ x: each.error_mm.x, y: each.error_mm.y }).toFixed(1)} mm beside`).join(', ');
+
+/** Whether a failure was of a link that is there again. */
+const isOver = (operation) => Boolean(operation.cause?.startsWith('link.') && shot.state?.plant_link_ok && !shot.link.trouble && !shot.camera.trouble);
 
 /** An operation in one line. */
 function words(operation) {
   if (['queued', 'running'].includes(operation.state)) return operation.note;
   const when = ago(shot.time - operation.ended_at);
   if (operation.ended_at < shot.anew_at) return `void, ${when}: the machine was started anew since`;
-  if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause}). ${operation.advice ?? ''}`;
+  if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause}). ${isOver(operation) ? 'That is over: repeat the step.' : operation.advice ?? ''}`;
   if (operation.state === 'cancelled') return `cancelled ${when}`;
   fetchResult(operation);
   const target = operation.request?.target;
@@ -258,7 +290,7 @@ function summary(kind, result) {
   if (kind === 'move') return `, ${result.miss_mm.toFixed(1)} mm beside`;
   if (result.look ?? result.error_mm) {
     const error = (result.look ?? result).error_mm;
-    return `: x ${signed(error.x)}, y ${signed(error.y)}, z ${signed(error.z)} mm`;
+    return `: ${millimetres([error.x, error.y, error.z], 2)}`;
   }
   return '';
 }

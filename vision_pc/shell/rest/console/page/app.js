@@ -5,6 +5,7 @@ import { installActions, offerPrograms, say, tellCurl, update } from './actions.
 import { byId, write } from './dom.js';
 import { followEmulator } from './emulator.js';
 import { installFurther, showFurther } from './further.js';
+import { installHelp } from './help.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
 import { showAlarms, showChips, showLadder, showResume, showTrials, showUnknown } from './panels.js';
 import { addToPlots, drawPlots, installPlots } from './plots.js';
@@ -110,7 +111,7 @@ async function whoAmI() {
 function signIn(document_) {
   const dialog = byId('sign-in');
   if (dialog.open) return;
-  write(byId('sign-in-why'), document_?.cause === 'refused.wrong_token' ? '▲ The token is none of this service’s.' : 'Paste it from its file, or open the address that was printed with #t=…');
+  write(byId('sign-in-why'), document_?.cause === 'refused.wrong_token' ? `▲ The token is none of this service’s. ${document_.advice ?? ''}` : document_?.advice ?? 'Paste it from its file, or open the address that was printed with #t=…');
   dialog.show(); // not modal: STOP must answer whoever presses it, if only that it was refused
 }
 
@@ -145,6 +146,7 @@ installActions();
 installFurther();
 tellCurl(byId('stop'), () => ['POST', '/stop']);
 installLayers();
+installHelp();
 installArm();
 installTheme();
 update(null, false);

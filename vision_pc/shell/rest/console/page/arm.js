@@ -41,6 +41,6 @@ export function showTruth() {
 export function showArm(shot) {
   last = shot;
   const at = shot.state?.X_BT.p_m.map((metres) => (Math.abs(metres) < 5e-4 ? 0 : metres).toFixed(3).replace('-', '−'));
-  write(byId('tool-at'), at ? `tool x ${at[0]}  y ${at[1]}  z ${at[2]} m` : 'by its drawing');
+  write(byId('tool-at'), at ? `tool x ${at[0]}  y ${at[1]}  z ${at[2]} m` : 'by its nominal dimensions');
   if (byId('scene-canvas').hidden) showSideView(shot); else showScene(shot);
 }

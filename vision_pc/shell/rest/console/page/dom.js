@@ -28,6 +28,9 @@ export function signed(value, digits = 2) {
   return (value < 0 ? '−' : '+') + Math.abs(value).toFixed(digits);
 }
 
+/** Three lengths in mm with their axes. */
+export const millimetres = (xyz, digits) => `${xyz.map((mm, axis) => `${'xyz'[axis]} ${signed(mm, digits)}`).join(', ')} mm`;
+
 /** A time of day. */
 export function clock(seconds) {
   return new Date(1000 * seconds).toLocaleTimeString('en-GB');

@@ -2,7 +2,7 @@
 
 import { attribute, byId, clock, make, milliseconds, write } from './dom.js';
 
-const STATES = { disabled: 'disabled', standby: 'standby', moving: 'moving', stopping: 'stopping', error_stop: 'error stop' };
+const STATES = { disabled: 'disabled', standby: 'standby', moving: 'moving', stopping: 'stopping', error_stop: 'fault' };
 const TRIALS = {
   disabled: ['◆ ENABLE moves the arm: it begins a trial of the valves',
     'What: one joint after another, to and fro, about 15 minutes in all. The controller was started for that (controller.excitation.enabled).',
@@ -105,11 +105,12 @@ export function showAlarms(alarms) {
   write(byId('alarm-count'), active.length ? `${active.length} active` : 'none active');
   const rows = alarms.map((alarm) => {
     const lasts = alarm.ended_at === null;
+    const often = alarm.count > 1 ? ` · ${alarm.count} times` : '';
     const ended = lasts ? '' : alarm.ended_at > alarm.began_at ? `ended ${clock(alarm.ended_at)}` : '';
     return make('tr', { class: lasts ? 'active' : 'ended' },
       make('td', { class: 'num' }, clock(alarm.began_at)),
       make('td', {}, lasts ? make('span', { class: `prio prio-${alarm.priority}` }, `${MARKS[alarm.priority]} ${alarm.priority}`) : make('span', { class: 'prio' }, '–')),
-      make('td', {}, `${alarm.detail}. `, make('b', {}, lasts || alarm.ended_at === alarm.began_at ? alarm.advice : ''), make('small', {}, make('code', {}, alarm.cause), ended && ` · ${ended}`)));
+      make('td', {}, `${alarm.detail}. `, make('b', {}, lasts || alarm.ended_at === alarm.began_at ? alarm.advice : ''), make('small', {}, make('code', {}, alarm.cause), ended && ` · ${ended}`, often)));
   });
   if (!rows.length) rows.push(make('tr', { class: 'ended' }, make('td', { colspan: 3 }, 'Nothing has happened since the console was opened.')));
   const told = rows.map((row) => row.textContent).join('|');

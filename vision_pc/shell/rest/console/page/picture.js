@@ -1,6 +1,6 @@
 // The live picture: canvases for both eyes and the loupe, and what was detected as drawings over them.
 
-import { byId, signed, write } from './dom.js';
+import { byId, millimetres, write } from './dom.js';
 import { aimed } from './targets.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
@@ -40,6 +40,7 @@ export function pictureAge(trouble) {
   const old = performance.now() - arrived;
   const silent = !arrived || old > 1000;
   byId('no-picture').hidden = !silent;
+  if (silent && arrived) write(byId('frame-told'), `frame ${byId('left').dataset.frame} · ${(old / 1000).toFixed(0)} s old`);
   if (silent) write(byId('no-picture'), arrived ? `▲ This picture is ${(old / 1000).toFixed(0)} s old. ${trouble ?? ''}` : trouble ?? 'Waiting for pictures');
 }
 
@@ -59,7 +60,7 @@ function loupeSize() {
   const square = drawn?.aim?.square;
   const px = square ? (Math.hypot(square[1][0] - square[0][0], square[1][1] - square[0][1]) * LOUPE.mm) / (2 * tolerance) : LOUPE.most;
   const width = Math.min(Math.max(px, LOUPE.least), LOUPE.most);
-  write(byId('loupe-told'), square ? `${((width / px) * LOUPE.mm).toFixed(0)} mm across` : 'the middle');
+  write(byId('loupe-told'), square ? `${((width / px) * LOUPE.mm).toFixed(0)} mm wide` : 'the middle');
   return [width, (width * 9) / 16];
 }
 
@@ -127,7 +128,7 @@ function words(overlay) {
   if (!overlay) return 'nothing measured yet';
   const of = (name, axes) => (axes ? `${name} seen` : `▲ ${name} ${(overlay.missing[name] ?? 'not_seen').replaceAll('_', ' ')}`);
   const residual = Math.max(...overlay.markers.map((marker) => marker.residual_px), 0);
-  const error = overlay.error_mm ? ` · off by ${overlay.error_mm.map((mm) => signed(mm, 1)).join(' ')} mm` : '';
+  const error = overlay.error_mm ? ` · error ${millimetres(overlay.error_mm, 1)}` : '';
   const target = aimed();
   const object = target?.known === 'lost' ? '▲ target lost' : target?.known === 'carried' && !overlay.object ? 'target carried by odometry'
     : of(target ? 'target' : 'object', overlay.object);

@@ -2,6 +2,7 @@
 
 import uPlot from './vendor/uplot.js';
 import { byId, make, write } from './dom.js';
+import { help } from './help.js';
 
 const KEPT = 1200; // ten a second for two minutes
 const SPAN_S = 120;
@@ -12,8 +13,8 @@ const STRIPS = [
   { id: 'joint-error', title: 'Joint error, mrad', lines: JOINTS, floor: 0.5, digits: 2, of: (s) => s.state.q_cmd_deg.map((q, i) => ((s.state.q_meas_deg[i] - q) * Math.PI) / 0.18) },
   { id: 'valves', title: 'Valves, %', lines: JOINTS, floor: 5, digits: 0, of: (s) => s.state.valves.map((v) => 100 * v) },
   { id: 'supply', title: 'Supply, bar', lines: ['supply'], floor: 220, zero: true, digits: 0, of: (s) => [s.state.supply_bar] },
-  { id: 'lateness', title: 'Lateness p99, µs', lines: ['p99'], floor: 500, zero: true, digits: 0, of: (s) => [s.state.cycle.lateness_p99_us] },
-  { id: 'age', title: 'Link age, ms', lines: ['age'], floor: 40, zero: true, digits: 0, of: (s) => [s.link.age_ms] },
+  { id: 'lateness', title: 'Controller lateness, µs', lines: ['p99'], help: '99 of 100 scans of the controller began less late than this.', floor: 500, zero: true, digits: 0, of: (s) => [s.state.cycle.lateness_p99_us] },
+  { id: 'age', title: 'Age of state, ms', lines: ['age'], help: 'How long ago the newest word of the controller was sent.', floor: 40, zero: true, digits: 0, of: (s) => [s.link.age_ms] },
 ];
 const DASHES = [[], [7, 3], [2, 2], [], [7, 3], [2, 2]]; // thrice for what turns the arm, thrice for its wrist
 const made = [];
@@ -27,7 +28,7 @@ export function installPlots() {
     const now = make('span', { class: 'live-value' }, '–');
     const place = make('div', {});
     const style_ = (line) => ({ stroke: colour(strip.lines.length === 1 || line < 3 ? '--ink' : '--accent'), width: 1.4, dash: DASHES[line] });
-    byId('strips').append(make('div', { id: `strip-${strip.id}` }, make('h3', {}, strip.title, now), ...legend(strip, style_), place));
+    byId('strips').append(make('div', { id: `strip-${strip.id}` }, make('h3', {}, strip.title, ...(strip.help ? [help(strip.help)] : []), now), ...legend(strip, style_), place));
     const data = made[index]?.data ?? [[], ...strip.lines.map(() => [])];
     const axis = { stroke: colour('--soft'), grid: { stroke: colour('--line'), width: 0.5 }, ticks: { show: false }, font: '11px system-ui', size: 34, gap: 2 };
     const plot = new uPlot({

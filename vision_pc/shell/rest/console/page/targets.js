@@ -1,6 +1,6 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
-import { addSteps, advise, nameGoal, nextStep, running, say, showCurl, tellCurl } from './actions.js';
+import { addSteps, advise, nameGoal, nextStep, running, say, showCurl, sinks, tellCurl } from './actions.js';
 import { MEASURING_MS, refusal, send } from './api.js';
 import { distances, labels, offer } from './candidates.js';
 import { attribute, byId, make } from './dom.js';
@@ -92,6 +92,7 @@ function clickRight([u, v]) {
 /** One at a time: a double click is one target. */
 async function ask(body) {
   if (measuring) return;
+  if (sinks()) { say('The arm is disabled: it sinks, and what is clicked is lost. Hold ENABLE, then click.', false); return; }
   measuring = ours = true;
   showCurl('POST', '/targets', body);
   say('Measuring what is there …', true);

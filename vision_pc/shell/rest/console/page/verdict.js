@@ -75,8 +75,8 @@ function plot(look, told) {
 
 function words(look, told) {
   const place = byId('verdict-told');
-  const before = told ? ` Told before: ${percent(told.inside_probability)} inside, 95 % within ${told.ellipse_95_mm.major.toFixed(1)} × ${told.ellipse_95_mm.minor.toFixed(1)} mm.` : '';
-  const text = look ? `${look.verdict === 'inside' ? 'Inside' : 'Outside'} ±${look.tolerance_mm} mm, ${look.certain ? 'and so are the 95 % intervals' : 'but the 95 % intervals cross the limit'}.` : 'Look, or run the procedure, to measure the error.';
+  const before = told ? ` Predicted before the drive: ${percent(told.inside_probability)} inside; 95 % of ends within ±${told.ellipse_95_mm.major.toFixed(1)} × ±${told.ellipse_95_mm.minor.toFixed(1)} mm.` : '';
+  const text = look ? `${look.verdict === 'inside' ? 'Inside' : 'Outside'} ±${look.tolerance_mm} mm, ${look.certain ? 'and its 95 % interval is, too' : 'but its 95 % interval crosses the limit'}.` : 'Look, or run the procedure, to measure the error.';
   if (place.dataset.told === text + before) return;
   place.dataset.told = text + before;
   place.replaceChildren(make('b', {}, text), before);
