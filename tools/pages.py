@@ -1,6 +1,6 @@
 """Generated tables of the pages on coupler, programs and worlds; ``python -m tools.pages`` writes them."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from plant_emulator.shell.coupler_connection import MAX_WRITE_BITS
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
 from tools.protocol_page import filled
+from tools.site import reference
 from tools.tables import cases_by_clause, table
 from vision_pc.application.programs import PROGRAMS
 
@@ -161,10 +162,24 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-PAGES: Mapping[str, Callable[[], dict[str, str]]] = {
+PAGES: dict[str, Callable[[], dict[str, str]]] = {
     "process_image.md": coupler_sections,
     "calibration.md": program_sections,
     "worlds.md": world_sections,
+}
+
+
+def _reference(name: str, made: Callable[[], str]) -> Callable[[], dict[str, str]]:
+    return lambda: {name: made()}
+
+
+PAGES |= {
+    f"reference/{name}.md": _reference(name, made)
+    for name, made in (
+        ("configuration", reference.page),
+        ("commands", reference.commands_page),
+        ("python", reference.python_page),
+    )
 }
 
 

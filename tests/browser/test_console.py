@@ -56,7 +56,9 @@ def test_the_procedure_by_clicks_or_keys_alone_ends_inside_the_tolerance(
             hold(page, f"#start-{kind}", by_key)
             note(page, kind, "done")
         expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, and its 95 % interval is, too.")
-        expect(page.locator("#verdict-told")).to_contain_text(re.compile(r"Predicted before the drive: .* inside"))
+        expect(page.locator("#verdict-told")).to_contain_text(
+            re.compile(r"Predicted before the drive: .* inside")
+        )
         assert max(abs(1e3 * bench.rig.true_error(0.1)[:2])) < 5.0
         if by_key:
             reach(page, "#jog-x-plus")

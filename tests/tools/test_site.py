@@ -87,12 +87,11 @@ def test_a_command_is_there_with_what_its_help_says() -> None:
     assert "```\nlongreach arm new a_b\n```" in page
 
 
-def test_every_example_and_every_module_of_the_interface_is_shown() -> None:
+def test_every_example_is_shown() -> None:
     page = extension.gallery()
     for path in (ROOT / "examples" / "python").glob("*.py"):
         assert f"## {path.name}" in page
         assert path.read_text(encoding="utf-8") in page
-    assert "longreach.rigs" in extension.modules()
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -13,8 +13,6 @@ from urllib.parse import unquote, urlsplit
 
 from sphinx.application import Sphinx
 
-from tools.site import reference
-
 _FETCHED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "link": "href"}
 _NOT_FETCHED = {"canonical", "author", "search", "index", "next", "prev"}
 _IN_STYLE = re.compile(r"""(?:url\(|@import)\s*["']?((?:https?:)?//[^"')\s]+)""")
@@ -104,28 +102,8 @@ def _example(path: Path) -> str:
     return f"## {path.name}\n\n{title}\n{rest}\n\n{shown}```python\n{text}```"
 
 
-PACKAGE = ROOT / "longreach"
-
-
-def modules() -> list[str]:
-    """The package that users import, and its modules."""
-    names = sorted(path.stem for path in PACKAGE.glob("*.py") if not path.stem.startswith("_"))
-    return [PACKAGE.name, *(f"{PACKAGE.name}.{name}" for name in names)]
-
-
-def python_interface() -> str:
-    """The reference of all of them, in their docstrings' order."""
-    return "\n\n".join(
-        f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n   :inherited-members:\n```"
-        for name in modules()
-    )
-
-
 MADE: Mapping[str, Callable[[], str]] = MappingProxyType(
     {
-        "configuration": reference.page,
-        "commands": reference.commands_page,
-        "python": python_interface,
         "gallery": gallery,
     }
 )

@@ -1,5 +1,6 @@
 """Every key of every configuration file: shipped value, what is allowed, what the file says of it."""
 
+import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import typer
 
+import longreach
 from testbed.cli.main import app
 from testbed.scenarios.configuration_keys import allowed, keys, left_out
 from testbed.scenarios.scenario import MODELS
@@ -91,3 +93,40 @@ def _code(value: str) -> str:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("*", "\\*").replace("<", "&lt;") if text else text
+
+
+def python_page() -> str:
+    """What ``import longreach`` has: every public name with its signature and docstring, methods below."""
+    return "\n\n".join(
+        _documented(f"longreach.{name}", getattr(longreach, name)) for name in longreach.__all__
+    )
+
+
+def _documented(path: str, thing: Any) -> str:
+    if inspect.ismodule(thing):
+        return f"## {path}\n\n{_docstring(thing)}"
+    parts = [f"## {path}", f"```python\n{path}{_signature(thing)}\n```", _docstring(thing)]
+    made = inspect.signature(thing).return_annotation if inspect.isfunction(thing) else thing
+    for name, member in inspect.getmembers(made) if inspect.isclass(made) and made is not str else ():
+        public = not name.startswith("_") and getattr(member, "__module__", "").startswith("longreach")
+        if public and inspect.isfunction(member):
+            parts.append(f"- `.{name}{_signature(member)}`: {_one_line(member)}")
+        elif isinstance(member, property) and not name.startswith("_"):
+            parts.append(f"- `.{name}`: {_one_line(member)}")
+    return "\n\n".join(part for part in parts if part)
+
+
+def _signature(thing: Any) -> str:
+    """Names and defaults; types and what each means are in the docstring."""
+    given = inspect.signature(thing).parameters.values()
+    plain = [one.replace(annotation=one.empty) for one in given if one.name != "self"]
+    shown = [one.replace(default=str(one.default)) if isinstance(one.default, Path) else one for one in plain]
+    return f"({', '.join(map(str, shown))})"
+
+
+def _docstring(thing: Any) -> str:
+    return _text(inspect.getdoc(thing) or "")
+
+
+def _one_line(thing: Any) -> str:
+    return " ".join(_docstring(thing).split())
