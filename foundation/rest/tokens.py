@@ -127,7 +127,8 @@ class Access(NamedTuple):
 
     ``tokens``: by role; none: nobody is asked for one. ``stops``: paths that whoever may look may POST to.
     ``public``: paths that may be read without a token: a page that asks for one, and nothing else.
-    ``allowed_origins``: pages of others that may ask, in lower case.
+    ``allowed_origins``: pages of others that may ask, in lower case. ``senders``: addresses that requests may
+    come from; None: any.
     """
 
     allowed_hosts: tuple[str, ...] = ()
@@ -135,6 +136,7 @@ class Access(NamedTuple):
     stops: frozenset[str] = frozenset()
     public: frozenset[str] = frozenset()
     allowed_origins: frozenset[str] = frozenset()
+    senders: frozenset[str] | None = None
 
 
 ANYBODY_HERE = Access()

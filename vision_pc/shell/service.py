@@ -1,6 +1,7 @@
 """The vision PC's process: camera, link, application and REST API, from configuration to a clean end."""
 
 import asyncio
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -11,11 +12,12 @@ import cv2
 from fastapi import FastAPI
 
 from foundation.event_log import EventLog
+from foundation.incidents import incidents_here
 from foundation.live.feed import open_show
 from foundation.periods import Limit, Tally
 from foundation.rest.files import Home
+from foundation.rest.no_token import WARNING, access_without_token, without_token
 from foundation.rest.server import RestServer, serve_in_thread
-from foundation.rest.tokens import configured_access
 from foundation.secret_source import bound_tcp
 from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
@@ -61,7 +63,7 @@ class VisionService:
         self._log = log
         self._arm = arm
         self._programs = programs
-        self._access = configured_access(config.api, "vision.api", STOPS, PUBLIC)
+        self._access = access_without_token(config.api, "vision.api", os.environ, STOPS, PUBLIC)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         self._told: Callable[[], str] = str
         self._sessions = SessionStore(config.sessions_dir)
@@ -111,6 +113,7 @@ class VisionService:
         MachineWatch(camera, link, application.begin_anew)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload, application.figures = lambda: watch.overload, self._counters
+        application.incidents = incidents_here().newest
         application.links, self._told = nominal.links, partial(told, application)
         self._record_from(eyes, application)
         operations = Operations(application.arm.halt, log)
@@ -157,6 +160,8 @@ class VisionService:
         return create_app(application, operations, self._programs, home, face)
 
     def _say_ready(self) -> None:
+        if without_token(os.environ):
+            self._log.write("without_token", "warning", cause="configuration.no_token", detail=WARNING)
         host, port = self._socket.getsockname()
         say_ready(
             _NAME,

@@ -89,6 +89,8 @@ _OF_CAUSE = {
     "link.session_occupied": "Another client holds the controller: end it, or wait.",
     "machine.begun_anew": "Reset, enable, turn parallel, calibrate; click the targets again.",
     "machine.overloaded": "Close other work on this machine.",
+    "machine.no_real_time": "Keep the machine free of other work, or allow the services the real-time class.",
+    "service.crashed": "Read the service's log for what it did last; then reset and enable.",
     "recording.unwritable": "Events cannot be recorded: look after the disk.",
     "refused.asked_too_late": "The network held it up. Look at the machine, then ask once more.",
     "request.bad_header": "Send the time of a snapshot of GET /events, or leave the header out.",

@@ -1,0 +1,44 @@
+"""One service in a container: ``python -m testbed.realtime.contained MODULE ARGUMENT...``.
+
+The engine starts anew what ends with a failure, but tells nobody inside. So this process, which does nothing
+else, notes a crash for the vision PC and then ends with the service's status.
+"""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import FrameType
+
+from foundation.incidents import note_incident
+from testbed.realtime.restarts import how_it_ended, oom_kills
+
+_VMSTAT = Path("/proc/vmstat")
+_SIGNALLED = 128  # and the signal's number: the exit status, as shells have it
+
+
+def main(argv: list[str]) -> int:
+    """The exit status of the service; SIGTERM and SIGINT are passed on to it."""
+    module, *arguments = argv
+    killed_before = oom_kills(_VMSTAT.read_text())
+    service = subprocess.Popen([sys.executable, "-m", module, *arguments])
+    asked_to_end = False
+
+    def pass_on(number: int, _frame: FrameType | None) -> None:
+        nonlocal asked_to_end
+        asked_to_end = True
+        service.send_signal(number)
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, pass_on)
+    status = service.wait()
+    if status and not asked_to_end:
+        out_of_memory = oom_kills(_VMSTAT.read_text()) > killed_before
+        how = how_it_ended(status, "its log says why" if status > 0 else "", out_of_memory)
+        note_incident(module, "service.crashed", f"{module} crashed with {how}; it is started anew")
+        print(f"{module} crashed with {how}", file=sys.stderr)
+    return status if status >= 0 else _SIGNALLED - status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
