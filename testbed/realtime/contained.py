@@ -14,6 +14,7 @@ from foundation.incidents import note_incident
 from testbed.realtime.restarts import how_it_ended, oom_kills
 
 _VMSTAT = Path("/proc/vmstat")
+_REFUSED = 2  # a service that does not start with what it is given: its line says why, and it is no crash
 _SIGNALLED = 128  # and the signal's number: the exit status, as shells have it
 
 
@@ -32,7 +33,7 @@ def main(argv: list[str]) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, pass_on)
     status = service.wait()
-    if status and not asked_to_end:
+    if status not in (0, _REFUSED) and not asked_to_end:
         out_of_memory = oom_kills(_VMSTAT.read_text()) > killed_before
         how = how_it_ended(status, "its log says why" if status > 0 else "", out_of_memory)
         note_incident(module, "service.crashed", f"{module} crashed with {how}; it is started anew")

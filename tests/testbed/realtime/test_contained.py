@@ -52,6 +52,14 @@ def test_the_end_that_was_asked_for_is_no_crash(tmp_path: Path, number: signal.S
     assert not (tmp_path / "incidents").exists()
 
 
+def test_a_service_that_refuses_to_start_has_not_crashed(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "testbed.realtime.contained", "tests.testbed.realtime.child_service"]
+    told = os.environ | {INCIDENTS: str(tmp_path / "incidents")}
+    done = subprocess.run([*words, "refuses"], env=told, capture_output=True, text=True, timeout=20.0)
+    assert (done.returncode, "extra inputs" in done.stderr) == (2, True)
+    assert not (tmp_path / "incidents").exists()
+
+
 def test_a_service_that_fails_by_itself_is_noted_too(tmp_path: Path) -> None:
     with contained("dies", tmp_path / "incidents") as (outer, _):
         assert outer.wait(20.0) == 3
