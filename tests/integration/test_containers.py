@@ -13,7 +13,6 @@ from typing import NamedTuple
 import httpx
 import numpy as np
 import pytest
-import yaml
 
 from plant_emulator.core.truth import tool_error
 from plant_emulator.shell.recording import read_truth
@@ -28,6 +27,7 @@ PROJECT = "longreach-test"
 LIMIT_M = 0.005
 CLEARANCE_M = 0.10
 TOKENS = "/var/lib/longreach-tokens"
+RECORDS = "/var/lib/longreach-records/test"
 CRASHES = int(os.environ.get("CRASHES", "1"))  # of each service
 SPELLINGS = {"v2": "docker compose", "v1": "docker-compose"}
 MODULES = {"plant": "plant_emulator", "controller": "controller", "vision": "vision_pc"}
@@ -55,11 +55,10 @@ def absent(spelling: str) -> str:
 
 
 class Containers(NamedTuple):
-    """Three services of our own project, on a free port. ``records``: what the plant records."""
+    """Three services of our own project, on a free port."""
 
     spelling: str
     port: int
-    records: Path
     environment: dict[str, str]
 
     @property
@@ -74,6 +73,10 @@ class Containers(NamedTuple):
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
+    def file(self, service: str, path: str) -> bytes:
+        words = (*self.spelling.split(), "exec", "-T", service, "cat", path)
+        return subprocess.check_output(words, env=os.environ | self.environment, cwd=ROOT)
+
     def face(self, role: str | None = "operate") -> httpx.Client:
         token = "" if role is None else self.call("exec", "-T", "vision", "cat", f"{TOKENS}/{role}").strip()
         headers = {"Authorization": f"Bearer {token}"} if token else {}
@@ -85,14 +88,15 @@ class Containers(NamedTuple):
         return {name: subprocess.check_output([*shown, known]) for name, known in ids.items()}
 
 
-def described(spelling: str, folder: Path, *files: str) -> Containers:
+def described(spelling: str, *files: str, records: str = "") -> Containers:
     port = free_port()
     environment = {
         "COMPOSE_FILE": ":".join((str(ROOT / "docker-compose.yml"), *files)),
         "COMPOSE_PROJECT_NAME": PROJECT,
         "LONGREACH_PORT": str(port),
+        "LONGREACH_RECORDS": records,
     }
-    return Containers(spelling, port, folder / "plant", environment)
+    return Containers(spelling, port, environment)
 
 
 @pytest.fixture(params=SPELLINGS)
@@ -104,19 +108,12 @@ def spelling(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def containers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Containers]:
-    """The three services, by the newest Compose that is here; the plant records in a folder of ours."""
+def containers() -> Iterator[Containers]:
+    """The three services, by the newest Compose that is here; they record."""
     missing = {name: absent(name) for name in SPELLINGS.values()}
     if all(missing.values()):
         pytest.skip("; ".join(dict.fromkeys(missing.values())))
-    records = tmp_path_factory.mktemp("records")
-    records.chmod(0o777)  # the container's user is nobody here
-    override = records / "record.yml"
-    command = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["plant"]["command"]
-    plant = {"command": [*command, "--record-dir", "/records/plant"], "volumes": [f"{records}:/records"]}
-    override.write_text(yaml.safe_dump({"services": {"plant": plant}}))
-    spelling = next(name for name, why in missing.items() if not why)
-    running = described(spelling, records, str(override))
+    running = described(next(name for name, why in missing.items() if not why), records=RECORDS)
     try:
         running.call("up", "--build", "-d")
         yield running
@@ -125,13 +122,13 @@ def containers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Containers]
         running.call("down", "-v")
 
 
-def test_compose_accepts_the_files(spelling: str, tmp_path: Path) -> None:
-    described(spelling, tmp_path).call("config", "-q")
-    described(spelling, tmp_path, str(ROOT / "compose.realtime.yml")).call("config", "-q")
+def test_compose_accepts_the_files(spelling: str) -> None:
+    described(spelling).call("config", "-q")
+    described(spelling, str(ROOT / "compose.realtime.yml")).call("config", "-q")
 
 
 def test_the_first_block_of_the_page_runs(spelling: str, tmp_path: Path) -> None:
-    project = described(spelling, tmp_path)
+    project = described(spelling)
     block = blocks("containers.md")[0]
     if spelling == SPELLINGS["v1"]:
         block = block.replace("--wait", "-d")
@@ -148,8 +145,9 @@ def test_the_first_block_of_the_page_runs(spelling: str, tmp_path: Path) -> None
 def test_the_block_of_the_rest_page_brings_the_tool_to_the_object(
     containers: Containers, tmp_path: Path
 ) -> None:
+    with containers.face("look") as face:
+        until_healthy(face)
     for wrong in ({}, {"Authorization": f"Bearer {bytes(32).hex()}"}):
-        until_healthy(containers.face("look"))
         assert httpx.post(f"{containers.url}/enable", headers=wrong, timeout=20.0).status_code == 401
     for port in (1502, 47100):
         with (
@@ -161,7 +159,8 @@ def test_the_block_of_the_rest_page_brings_the_tool_to_the_object(
     printed = pasted(block, containers.url, tmp_path, containers.environment, containers.spelling, 600.0)
     judge_rest_block(printed, tmp_path)
     time.sleep(1.0)
-    truths = [record.truth for record in read_truth(containers.records / "truth.mcap").truths[-20:]]
+    (tmp_path / "truth.mcap").write_bytes(containers.file("plant", f"{RECORDS}/plant_emulator/truth.mcap"))
+    truths = [record.truth for record in read_truth(tmp_path / "truth.mcap").truths[-20:]]
     error = np.mean([tool_error(truth, CLEARANCE_M) for truth in truths], axis=0)
     print(f"true error {1e3 * error} mm")
     assert np.all(np.abs(error[:2]) < LIMIT_M)

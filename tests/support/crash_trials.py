@@ -27,7 +27,7 @@ class Rig(NamedTuple):
 
 
 class CrashTrial(NamedTuple):
-    """One crash. ``ready_s``: from the signal until vision is healthy again. ``moved_mm``: of the tool in the
+    """One crash. ``ready_s``: from the signal until all links are up again. ``moved_mm``: of the tool in the
     time watched after that. ``valves``: the largest command then, of 1. ``kept``: the other two live on.
     """
 
@@ -90,6 +90,9 @@ def trial(rig: Rig, service: str, up_m: float) -> CrashTrial:
         assert time.monotonic() - killed_s < READY_S, "it is not started anew"
         time.sleep(0.02)
     until_healthy(rig.face)
+    while not rig.face.get("/state").json().get("plant_link_ok"):
+        assert time.monotonic() - killed_s < READY_S, "the controller does not hear the plant"
+        time.sleep(0.05)
     ready_s = time.monotonic() - killed_s
     at = tool_m(rig.face)
     time.sleep(HOLD_S)

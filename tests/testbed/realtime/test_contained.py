@@ -11,7 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from foundation import service_main
 from foundation.incidents import INCIDENTS, IncidentFile
+from testbed.realtime.contained import RECORDS, free_directory
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow("processes start")]
 
@@ -58,6 +60,14 @@ def test_a_service_that_refuses_to_start_has_not_crashed(tmp_path: Path) -> None
     done = subprocess.run([*words, "refuses"], env=told, capture_output=True, text=True, timeout=20.0)
     assert (done.returncode, "extra inputs" in done.stderr) == (2, True)
     assert not (tmp_path / "incidents").exists()
+
+
+def test_each_start_records_in_a_directory_of_its_own(tmp_path: Path) -> None:
+    assert RECORDS == service_main.RECORDS
+    wanted = tmp_path / "plant_emulator"
+    for name in ("plant_emulator", "plant_emulator.2", "plant_emulator.3"):
+        assert free_directory(wanted) == tmp_path / name
+        (tmp_path / name).mkdir()
 
 
 def test_a_service_that_fails_by_itself_is_noted_too(tmp_path: Path) -> None:
