@@ -19,7 +19,7 @@ _NEWEST = 20
 _TAIL_BYTES = 16_384
 
 
-class Incident(NamedTuple):
+class ServiceIncident(NamedTuple):
     """``at_s``: seconds since 1970. ``cause``: machine-readable, such as ``service.crashed``."""
 
     at_s: float
@@ -28,9 +28,9 @@ class Incident(NamedTuple):
     detail: str
 
 
-def note_incident(service: str, cause: str, detail: str, path: Path | None = None) -> Incident:
+def note_incident(service: str, cause: str, detail: str, path: Path | None = None) -> ServiceIncident:
     """Append to ``path``, by default the environment's file, if there is one. Returns what was noted."""
-    incident = Incident(time.time(), service, cause, detail)
+    incident = ServiceIncident(time.time(), service, cause, detail)
     named = path or os.environ.get(INCIDENTS)
     if named:
         with contextlib.suppress(OSError), Path(named).open("a", encoding="utf-8") as file:
@@ -52,9 +52,9 @@ class IncidentFile:
         """``path``: None has no incidents."""
         self._path = path
         self._version: tuple[int, int] | None = None
-        self._read: tuple[Incident, ...] = ()
+        self._read: tuple[ServiceIncident, ...] = ()
 
-    def newest(self) -> tuple[Incident, ...]:
+    def newest(self) -> tuple[ServiceIncident, ...]:
         """At most twenty, the oldest first. Lines that are no incident are left out."""
         if self._path is None:
             return ()
@@ -75,11 +75,11 @@ def incidents_here() -> IncidentFile:
     return IncidentFile(Path(named) if named else None)
 
 
-def _incident_of(line: str) -> Incident | None:
+def _incident_of(line: str) -> ServiceIncident | None:
     try:
         said: Any = json.loads(line)
-        at_s, *words = (said[name] for name in Incident._fields)
-        incident = Incident(float(at_s), *(str(word)[:400] for word in words))
+        at_s, *words = (said[name] for name in ServiceIncident._fields)
+        incident = ServiceIncident(float(at_s), *(str(word)[:400] for word in words))
     except (ValueError, TypeError, KeyError, OverflowError):
         return None
     return incident if math.isfinite(incident.at_s) else None

@@ -4,7 +4,7 @@ import signal
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from foundation.incidents import Incident
+from foundation.incidents import ServiceIncident
 
 WINDOW_S = 60.0
 MOST_CRASHES = 3  # within the window; the last of them ends all
@@ -20,11 +20,11 @@ class Restart(NamedTuple):
 class GiveUp(NamedTuple):
     """End everything: ``first`` is the crash that the others followed."""
 
-    first: Incident
+    first: ServiceIncident
     crashes: int
 
 
-def decide(crashes: Sequence[Incident], most: int = MOST_CRASHES) -> Restart | GiveUp:
+def decide(crashes: Sequence[ServiceIncident], most: int = MOST_CRASHES) -> Restart | GiveUp:
     """What to do after the last of ``crashes`` (of all services, the oldest first)."""
     recent = [crash for crash in crashes if crashes[-1].at_s - crash.at_s < WINDOW_S]
     if len(recent) >= most:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from foundation.incidents import Incident, note_incident
+from foundation.incidents import ServiceIncident, note_incident
 from testbed.realtime.child import INCIDENT_FILE, STOP_TIMEOUT_S, Child, Service, ServiceFailed, process_state
 from testbed.realtime.complaints import Complaint, Repetitions
 from testbed.realtime.restarts import MOST_CRASHES, GiveUp, decide
@@ -32,7 +32,7 @@ class Supervisor:
         self._most_crashes = most_crashes
         self._starts: Counter[str] = Counter()
         self._stalled: set[str] = set()
-        self._crashes: list[Incident] = []
+        self._crashes: list[ServiceIncident] = []
         self._repetitions = Repetitions()
         self.children: dict[str, Child] = {}
 

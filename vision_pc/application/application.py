@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
-from foundation.incidents import Incident
+from foundation.incidents import ServiceIncident
 from nominal_arm.dimensions import BoomDimensions, DhLink
 from protocol.errors import RequestRefused
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
@@ -76,7 +76,7 @@ class VisionApplication:
         self.positioning = settings.positioning
         self.overload: Callable[[], str] = str
         self.figures: Callable[[], dict[str, Any]] = dict
-        self.incidents: Callable[[], Sequence[Incident]] = tuple
+        self.incidents: Callable[[], Sequence[ServiceIncident]] = tuple
         self.links: tuple[DhLink, ...] = ()
         self.looks = 0
         self.times_anew = 0

@@ -113,7 +113,6 @@ class VisionService:
         MachineWatch(camera, link, application.begin_anew)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload, application.figures = lambda: watch.overload, self._counters
-        application.incidents = incidents_here().newest
         application.links, self._told = nominal.links, partial(told, application)
         self._record_from(eyes, application)
         operations = Operations(application.arm.halt, log)
@@ -156,6 +155,7 @@ class VisionService:
 
     def _app(self, application: VisionApplication, operations: Operations) -> FastAPI:
         """The API over what lives in this loop."""
+        application.incidents = incidents_here().newest
         home, face = Home(asyncio.get_running_loop()), self._config.api.emulator_face
         return create_app(application, operations, self._programs, home, face)
 

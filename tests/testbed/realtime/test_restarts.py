@@ -5,13 +5,13 @@ import time
 
 import pytest
 
-from foundation.incidents import Incident
+from foundation.incidents import ServiceIncident
 from testbed.realtime.complaints import Complaint, Repetitions, complaint_of
 from testbed.realtime.restarts import GiveUp, Restart, decide, how_it_ended, oom_kills
 
 
-def crashes(*at_s: float) -> list[Incident]:
-    return [Incident(at, f"service {k}", "service.crashed", f"crash {k}") for k, at in enumerate(at_s)]
+def crashes(*at_s: float) -> list[ServiceIncident]:
+    return [ServiceIncident(at, f"service {k}", "service.crashed", f"crash {k}") for k, at in enumerate(at_s)]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 import vision_pc
 from foundation.configuration import load
-from foundation.incidents import Incident
+from foundation.incidents import ServiceIncident
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dh_links
 from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
@@ -107,7 +107,9 @@ async def test_what_is_wrong_is_found_in_a_glimpse() -> None:
 @pytest.mark.realtime
 async def test_what_became_of_the_services_is_an_alarm_once_and_stands_in_the_state() -> None:
     async with bench() as made:
-        crash = Incident(90.0, "controller", "service.crashed", "controller crashed with signal SIGKILL")
+        crash = ServiceIncident(
+            90.0, "controller", "service.crashed", "controller crashed with signal SIGKILL"
+        )
         made.station.incidents = lambda: (crash,)
         overview = Overview(made.station.links)
         for now_s in (100.0, 101.0):

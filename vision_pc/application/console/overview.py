@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from foundation.incidents import Incident
+from foundation.incidents import ServiceIncident
 from nominal_arm.dimensions import DhLink
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
@@ -45,7 +45,7 @@ class Glimpse(NamedTuple):
     tolerance_m: float
     times_anew: int = 0
     home: Array | None = None
-    incidents: Sequence[Incident] = ()
+    incidents: Sequence[ServiceIncident] = ()
 
 
 def glimpse(application: VisionApplication) -> Glimpse:
@@ -94,7 +94,7 @@ class Overview:
         self._links = links
         self.anew_at: float | None = None
         self._times_anew = 0
-        self._noted: set[Incident] = set()
+        self._noted: set[ServiceIncident] = set()
 
     def note(self, now_s: float, seen: Glimpse) -> None:
         """Take note of what is wrong at ``now_s``."""
