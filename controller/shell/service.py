@@ -30,6 +30,7 @@ from controller.shell.reference_port import ReferencePort
 from controller.shell.scan_recorder import ScanRecorder, TrialRecords
 from foundation.configuration import configuration_hash
 from foundation.event_log import EventLog, Level
+from foundation.incidents import note_scheduling
 from foundation.live.feed import LiveShow, open_show
 from foundation.live.wire import Spread, exposition
 from foundation.periods import DurationHistogram, Limit, Tally, percent_missed, take_fifo
@@ -124,6 +125,7 @@ class ControllerService:
         self._reference.open()
         self._plant.start()
         self._scheduling = take_fifo(self._config.fifo_priority)
+        note_scheduling("controller", self._config.fifo_priority, self._scheduling)
         self._memory_mb = resident_mb()
         self._say_ready()
         watch = SelfWatch(self._log, _LIMITS, self._work, self._record_dir)

@@ -41,6 +41,7 @@ class AccessGuard:
         self._app = app
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
         self._origins = access.allowed_origins
+        self._senders = access.senders
         self._tokens = TokenCheck(access.tokens, access.stops, access.public) if access.tokens else None
         self._refusals = refusals
         self._advise = access.advise
@@ -67,6 +68,10 @@ class AccessGuard:
         return refusal
 
     def _refusal_for(self, scope: Scope) -> Refusal | None:
+        sender = str((scope.get("client") or ("unknown",))[0])
+        if self._senders is not None and sender not in self._senders:
+            detail = f"without tokens only this machine may ask, not {sender}: unset LONGREACH_NO_TOKEN"
+            return _problem(scope, HTTPStatus.FORBIDDEN, "refused.other_machine", detail)
         hosts = header_values(scope, b"host")
         if len(hosts) != 1 or not self._is_ours(hosts[0], scope):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"

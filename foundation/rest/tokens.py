@@ -128,6 +128,7 @@ class Access(NamedTuple):
     ``tokens``: by role; none: nobody is asked for one. ``stops``: paths that whoever may look may POST to.
     ``public``: paths that may be read without a token: a page that asks for one, and nothing else.
     ``allowed_origins``: pages of others that may ask, in lower case. ``advise``: what to do about a refusal.
+    ``senders``: addresses that requests may come from; None: any.
     """
 
     allowed_hosts: tuple[str, ...] = ()
@@ -136,6 +137,7 @@ class Access(NamedTuple):
     public: frozenset[str] = frozenset()
     allowed_origins: frozenset[str] = frozenset()
     advise: Advise | None = None
+    senders: frozenset[str] | None = None
 
 
 ANYBODY_HERE = Access()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from foundation.event_log import EventLog
+from foundation.incidents import note_scheduling
 from foundation.live.feed import LiveShow, Opened, open_show
 from foundation.live.wire import Spread, exposition
 from foundation.periods import Limit, Tally, take_fifo
@@ -130,7 +131,9 @@ class PlantService:
         self, camera: CameraSender, addresses: dict[str, tuple[str, int]], stop: asyncio.Event
     ) -> bool:
         """Serve; return whether the renderer ended by itself before ``stop``."""
-        self._scheduling = take_fifo(self._config.service.fifo_priority)
+        fifo = self._config.service.fifo_priority
+        self._scheduling = take_fifo(fifo)
+        note_scheduling(_NAME, fifo, self._scheduling)
         self._memory_at_start = self._memory()
         self._say_ready(addresses)
         watch = SelfWatch(self._log, _LIMITS, self._work, self._record_dir)

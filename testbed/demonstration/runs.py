@@ -29,8 +29,9 @@ from testbed.demonstration.sequence import (
 from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.world import CONTROLLER_CLOCK_NS, VISION_CLOCK_NS
-from testbed.realtime.launch import PLANT, VISION, Launch, Supervisor, prepare
+from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler, bearer, error_of
+from testbed.realtime.supervisor import Supervisor
 from testbed.realtime.up import end_on_sigterm, show_console, show_fault_api, show_live, started, tell
 from testbed.reporting.console import Bars, bars, out
 from testbed.reporting.outcome import Outcome

@@ -16,15 +16,20 @@ from typing import Any, NamedTuple, TextIO
 import psutil
 
 from foundation.event_log import event_of, in_words
+from foundation.incidents import INCIDENTS
 from foundation.live.wire import SHARED_VARIABLE
 from foundation.recording.decoding import SESSION_VARIABLE
 from foundation.service_main import LONGEST_SILENCE, SOCKET, Listener
 from protocol.errors import LongreachError
+from testbed.realtime.complaints import Complaint, complaint_of
+from testbed.realtime.restarts import how_it_ended, oom_kills
 
 STOP_TIMEOUT_S = 4.0
 _SIGNS_WITHIN_S = 1.0
 _ALARMS_MAX = 20  # that wait to be told
 _ALARMING = ("overloaded", "disk_low")  # warnings that a person should see at once
+_VMSTAT = Path("/proc/vmstat")
+INCIDENT_FILE = "incidents.jsonl"
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -56,7 +61,8 @@ class Service(NamedTuple):
 class Child:
     """A running service. Its stdout is read for the ready line, its stderr goes to ``log``.
 
-    ``alarms``: what it said of level error, and that the machine is overloaded, in words, until it is taken.
+    ``alarms``: what it said of level error, and that the machine is overloaded, until it is taken. Its
+    incidents are noted beside ``log``.
     """
 
     def __init__(self, service: Service, log: Path) -> None:
@@ -64,14 +70,16 @@ class Child:
         self.service = service
         self._arguments = service.arguments
         self.ready: dict[str, Any] | None = None
-        self.alarms: deque[str] = deque(maxlen=_ALARMS_MAX)
+        self.alarms: deque[Complaint] = deque(maxlen=_ALARMS_MAX)
         self._last_line = ""
         self._last_error = ""
         self._log = log
         self._asked_to_end = False
         self._said_ready = threading.Event()
+        self._oom_kills = oom_kills(_VMSTAT.read_text())
         self._signs = Listener(f"longreach-{os.getpid()}-{service.name}-{id(self):x}", time.monotonic_ns())
         told = {SOCKET: self._signs.address, LONGEST_SILENCE: f"{_SIGNS_WITHIN_S * 1e6:.0f}"}
+        told |= {INCIDENTS: str(log.parent.absolute() / INCIDENT_FILE)}
         told |= {SESSION_VARIABLE: service.session} if service.session else {}
         told |= {SHARED_VARIABLE: service.feeds} if service.feeds else {}
         self._process = subprocess.Popen(
@@ -115,6 +123,11 @@ class Child:
         return self.exit_status == 0 and not self._asked_to_end
 
     @property
+    def crashed(self) -> bool:
+        """Whether it ended although nobody had asked it to."""
+        return self.exit_status not in (None, 0) and not self._asked_to_end
+
+    @property
     def last_line(self) -> str:
         """The last line that it wrote on stderr, in words, or what replaces it."""
         return in_words(self._last_line) or "it said nothing"
@@ -143,7 +156,7 @@ class Child:
             for line in lines:
                 trouble = log.append(line)
                 if trouble:
-                    self.alarms.append(trouble)
+                    self.alarms.append(Complaint(time.time(), "recording.unwritable", trouble))
                 self._last_line = line.strip() or self._last_line
                 self._sort(self._last_line)
 
@@ -155,7 +168,7 @@ class Child:
         elif said.get("level", "info") != "info":
             self._last_error = line
             if said["level"] == "error" or said["event"] in _ALARMING:
-                self.alarms.append(in_words(line))
+                self.alarms.append(complaint_of(line, said))
 
     def wait_ready(self, timeout_s: float) -> dict[str, Any]:
         """The ready line's fields. Raises ServiceFailed when it ends or stays silent instead."""
@@ -164,7 +177,6 @@ class Child:
             self._signs.count_from(time.monotonic_ns())
             return self.ready
         if self._said_ready.is_set():
-            self._settle()
             raise self.failure("before it was ready")
         raise ServiceFailed(
             "service.not_ready", f"{self.name} was not ready within {timeout_s:.0f} s: {self.last_line}"
@@ -172,14 +184,18 @@ class Child:
 
     def failure(self, when: str) -> ServiceFailed:
         """The error that tells how this service ended, and what it last complained of."""
+        return ServiceFailed("service.exited", f"{self.name} ended {when} with {self.how_it_ended()}")
+
+    def how_it_ended(self) -> str:
+        """Signal or status, and why as far as it is known, of a process that has ended."""
+        self._settle()
         status = self.exit_status
-        why = in_words(self._last_error)
-        if status is not None and status < 0:  # from outside: what it had said is no reason
-            said = f"; its last complaint was {why}" if why else ""
-            told = f"signal {signal.Signals(-status).name}{said}"
-        else:
-            told = f"status {status}: {why or 'it had reported no error'}"
-        return ServiceFailed("service.exited", f"{self.name} ended {when} with {told}")
+        if status is None:
+            return "its output closed, and runs on"
+        last_words = self._last_line if event_of(self._last_line) is None else ""
+        # Who is killed says nothing of it: what it had complained of before is no reason.
+        said = last_words if status < 0 else in_words(self._last_error)
+        return how_it_ended(status, said, oom_kills(_VMSTAT.read_text()) > self._oom_kills)
 
     def _settle(self) -> None:
         """Wait until exit status and last line of an ended process are known."""

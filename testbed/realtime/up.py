@@ -7,7 +7,8 @@ from datetime import datetime
 from pathlib import Path
 from types import FrameType
 
-from testbed.realtime.launch import Launch, Supervisor, prepare, supervised
+from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
+from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import Bars, out, table
 from testbed.reporting.run_directory import run_directory
 from testbed.reporting.run_record import note_settings
@@ -33,9 +34,10 @@ def run_up(
             out.print("ended")
 
 
-def tell(trouble: str) -> None:
-    """Print one line about a service, with the time of day."""
-    out.print(f"{datetime.now():%H:%M:%S}  {trouble}", markup=False, highlight=False, soft_wrap=True)
+def tell(at_s: float, trouble: str) -> None:
+    """Print one line about a service, with the time of day at which it happened."""
+    when = f"{datetime.fromtimestamp(at_s):%H:%M:%S}"
+    out.print(f"{when}  {trouble}", markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -54,11 +56,21 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
         for name, child in supervisor.children.items()
     ]
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
+    show_real_time(supervisor)
     show_fault_api(launch)
     show_console(launch)
     show_live(launch)
     out.print(f"REST API: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
-    out.print("kill PROCESS ends that service, and it is started anew alone", highlight=False)
+    out.print("a service that ends or crashes is started anew alone; the arm stays disabled", highlight=False)
+
+
+def show_real_time(supervisor: Supervisor) -> None:
+    """Say so if plant or controller has no real-time class."""
+    told = {name: (child.ready or {}).get("scheduling") for name, child in supervisor.children.items()}
+    lacking = [name for name in (PLANT, CONTROLLER) if told.get(name) != "fifo"]
+    if lacking:
+        said = f"no real-time class for {' and '.join(lacking)}: expect late cycles while other work runs"
+        out.print(said, highlight=False)
 
 
 def show_console(launch: Launch) -> None:

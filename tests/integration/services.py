@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import httpx
 
-from testbed.realtime.launch import Launch, Supervisor, prepare, supervised
+from testbed.realtime.launch import Launch, prepare
+from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.scenarios.scenario import chosen_overrides
 from tests.support.paths import CONFIGS, ROOT
 

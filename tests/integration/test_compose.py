@@ -1,41 +1,19 @@
-"""The containers: what the compose file promises and, where an engine runs, the tool at the object."""
+"""The containers: what the compose files, the image and the page about them promise, without an engine."""
 
-import json
-import shutil
-import socket
+import re
 import subprocess
-import time
-from collections.abc import Iterator
-from pathlib import Path
+import sys
 from typing import Any
 
-import httpx
-import numpy as np
-import pytest
 import yaml
 
 from foundation.configuration import parse_overrides
-from plant_emulator.core.truth import tool_error
-from plant_emulator.shell.recording import read_truth
-from testbed.realtime.launch import free_port
-from testbed.realtime.rest_rig import RestRig
-from testbed.reporting.console import bars
-from tests.integration.services import ROOT
+from foundation.incidents import INCIDENTS
+from foundation.rest.no_token import NO_TOKEN
+from tests.support.pages import page, rows
+from tests.support.paths import ROOT
 
-PROJECT = "longreach-test"
-LIMIT_M = 0.005
-CLEARANCE_M = 0.10
 TOKENS = "/var/lib/longreach-tokens"
-
-
-def compose_command() -> list[str] | None:
-    """Compose as it is called here, v1 or v2; None where there is none or no engine answers."""
-    if shutil.which("docker") is None or subprocess.run(["docker", "info"], capture_output=True).returncode:
-        return None
-    if shutil.which("docker-compose"):
-        return ["docker-compose"]
-    v2 = subprocess.run(["docker", "compose", "version"], capture_output=True)
-    return ["docker", "compose"] if v2.returncode == 0 else None
 
 
 def document() -> dict[str, Any]:
@@ -90,10 +68,13 @@ def test_each_service_is_watched_and_waits_for_those_it_needs() -> None:
 
 
 def test_the_image_runs_without_privileges_from_locked_dependencies() -> None:
-    lines = (ROOT / "Dockerfile").read_text().splitlines()
-    assert "ARG BASE=python:3.11-slim-bookworm" in lines
-    assert "USER longreach" in lines
-    assert any("--require-hashes" in line for line in lines)
+    text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+    assert "\nARG BASE=python:3.11-slim-bookworm\n" in text
+    for stage in text.split("\nFROM ")[2:]:
+        assert re.findall(r"^USER (\w+)$", stage, re.MULTILINE)[-1] == "longreach"
+    installs = [line for line in text.splitlines() if re.search(r"pip.* \S*INSTALL|pip .*install", line)]
+    assert len(installs) >= 3
+    assert all("--require-hashes" in line or "wheel" in line or ".whl" in line for line in installs)
     assert all(service["cap_drop"] == ["ALL"] for service in document()["services"].values())
 
 
@@ -127,7 +108,8 @@ def test_the_profile_of_campaigns_is_one_image_on_the_internal_network() -> None
     profile = {name: each for name, each in services.items() if each.get("profiles") == ["campaign"]}
     assert set(profile) == {"scheduler", "worker", "campaign"}
     for each in profile.values():
-        assert (each["image"], each["networks"]) == ("longreach:latest", ["machine"])
+        assert (each["image"], each["build"]["target"]) == ("longreach-campaign:latest", "campaign")
+        assert each["networks"] == ["machine"]
         assert "ports" not in each
     assert profile["worker"]["command"][2] == "tcp://scheduler:8786"
     assert profile["worker"]["command"][3:5] == ["--nthreads", "1"], "a run has a core of its own"
@@ -135,72 +117,53 @@ def test_the_profile_of_campaigns_is_one_image_on_the_internal_network() -> None
     assert f" {rows} " in (ROOT / "Dockerfile").read_text().replace("\\\n", " "), "else root's"
 
 
-@pytest.mark.docker
-def test_compose_accepts_the_file() -> None:
-    compose = compose_command()
-    if compose is None:
-        pytest.fail("no Docker engine with Compose answers here")
-    checked = subprocess.run([*compose, "config", "-q"], cwd=ROOT, capture_output=True, text=True)
-    assert checked.returncode == 0, checked.stderr
+def left_out(argument: str) -> list[str]:
+    """The packages that an argument of the Dockerfile keeps out of the image of the services."""
+    text = (ROOT / "Dockerfile").read_text().replace("\\\n", " ")
+    return re.findall(rf'^ARG {argument}="(.*)"$', text, re.MULTILINE)[0].split()
 
 
-@pytest.fixture
-def containers(tmp_path: Path) -> Iterator[tuple[str, bytes, Path]]:
-    """The REST face's address, the token to operate, and the plant's record directory of three containers."""
-    compose = compose_command()
-    if compose is None:
-        pytest.fail("no Docker engine with Compose answers here")
-    records = tmp_path / "records"
-    records.mkdir()
-    records.chmod(0o777)  # the container's user is nobody here
-    override = tmp_path / "record.yml"
-    command = [*document()["services"]["plant"]["command"], "--record-dir", "/records/plant"]
-    plant = {"command": command, "volumes": ["/var/lib/longreach", f"{records}:/records"]}
-    override.write_text(yaml.safe_dump({"services": {"plant": plant}}))
-    port = free_port()
-    files = ["-f", str(ROOT / "docker-compose.yml"), "-f", str(override)]
-    base = [*compose, "-p", PROJECT, "--project-directory", str(ROOT), *files]
-    environment = {"LONGREACH_PORT": str(port), "PATH": "/usr/local/bin:/usr/bin:/bin"}
-
-    def call(*arguments: str) -> str:
-        done = subprocess.run([*base, *arguments], env=environment, capture_output=True, text=True, cwd=ROOT)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-    try:
-        call("up", "--build", "-d")
-        token = bytes.fromhex(call("exec", "-T", "vision", "cat", f"{TOKENS}/operate"))
-        yield f"http://127.0.0.1:{port}", token, records / "plant"
-    finally:
-        print(call("logs", "--tail", "5"))
-        call("down", "-v")
+def test_what_the_image_leaves_out_is_locked_and_no_service_imports_it() -> None:
+    names = left_out("FOR_CAMPAIGNS") + left_out("FOR_BUILDS")
+    locked = re.findall(r"^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+    assert len(names) > 25
+    assert set(names) <= set(locked)
+    program = (
+        "import importlib.metadata as m, sys\n"
+        "import controller.__main__, plant_emulator.__main__, vision_pc.__main__\n"
+        "import conformance.command, testbed.cli.main, testbed.cli.token, testbed.realtime.contained\n"
+        "import testbed.realtime.probe, testbed.lockstep.warm_up, plant_emulator.shell.camera_sender\n"
+        "names = {each.lower().replace('_', '-') for top in m.packages_distributions().items()\n"
+        "         if top[0] in sys.modules for each in top[1]}\n"
+        "print(*sorted(names))"
+    )
+    used = subprocess.check_output([sys.executable, "-c", program], text=True, cwd=ROOT).split()
+    assert "numba" in used
+    assert set(used) & set(names) == set()
 
 
-@pytest.mark.docker
-@pytest.mark.timeout(1800)
-def test_three_containers_bring_the_tool_to_the_object(containers: tuple[str, bytes, Path]) -> None:
-    url, token, records = containers
-    rig = RestRig(url, token)
-    rig.wait_healthy(180.0)
-    for wrong in ({}, {"Authorization": f"Bearer {bytes(32).hex()}"}):
-        assert httpx.post(f"{url}/enable", headers=wrong, timeout=20.0).status_code == 401
-    for port in (1502, 47100):
-        with (
-            pytest.raises(OSError, match=r"refused|timed out"),
-            socket.create_connection(("127.0.0.1", port), 1.0),
-        ):
-            pytest.fail(f"port {port} must not be published")
-    rig.command("enable")
-    with bars(quiet=True) as shown, shown.step("containers") as bar:
-        rig.operate("orientation-adjustment", {}, bar)
-        rig.operate("trajectory-matching", {}, bar)
-        for _ in range(2):
-            result = rig.operate("look-then-move", {"inputs": 1}, bar)
-    print(json.dumps(result.final.error_m.tolist()), json.dumps(rig.state()["cycle"]))
-    rig.close()
-    assert result.final.inside
-    time.sleep(1.0)
-    truths = [record.truth for record in read_truth(records / "truth.mcap").truths[-20:]]
-    error = np.mean([tool_error(truth, CLEARANCE_M) for truth in truths], axis=0)
-    print(f"true error {1e3 * error} mm")
-    assert np.all(np.abs(error[:2]) < LIMIT_M)
+def test_the_three_services_are_started_anew_and_note_their_crashes() -> None:
+    services = own_document()["services"]
+    anew = {name: each.get("restart") for name, each in services.items()}
+    assert anew == {"tokens": None, "plant": "on-failure", "controller": "on-failure", "vision": "on-failure"}
+    for name in ("plant", "controller", "vision"):
+        each = services[name]
+        assert each["command"][:3] == ["python", "-m", "testbed.realtime.contained"]
+        folder = each["environment"][INCIDENTS].rpartition("/")[0]
+        assert f"incidents:{folder}" in each["volumes"]
+
+
+def test_real_time_is_one_right_of_plant_and_controller() -> None:
+    override = yaml.safe_load((ROOT / "compose.realtime.yml").read_text())["services"]
+    assert set(override) == {"plant", "controller"}
+    for each in override.values():
+        assert "--reuid=longreach" in each["entrypoint"]
+        assert "--bounding-set=-all,+sys_nice" in each["entrypoint"]
+        assert set(each) == {"user", "cap_add", "entrypoint"}, "nothing else is loosened"
+
+
+def test_the_page_has_every_variable_of_the_file_and_no_other() -> None:
+    text = (ROOT / "docker-compose.yml").read_text()
+    read = set(re.findall(r"\$\{(\w+):", text)) - {"LONGREACH_PROMETHEUS", "LONGREACH_GRAFANA"}  # images
+    assert set(rows(page("containers.md"), "variable")) == read
+    assert NO_TOKEN in read

@@ -3,10 +3,11 @@
 The programs themselves are rows of ``programs.PROGRAMS``. Nothing here reads a socket, a file or a clock.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
+from foundation.incidents import ServiceIncident
 from nominal_arm.dimensions import BoomDimensions, DhLink
 from protocol.errors import RequestRefused
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
@@ -45,7 +46,8 @@ class VisionApplication:
     ``calibration`` and ``track`` are the newest local calibration and local track, None before the first.
     ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
     is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing,
-    ``figures`` what the service counts of itself, ``looks`` how many were taken. ``links`` are those of
+    ``figures`` what the service counts of itself, ``looks`` how many were taken, ``incidents`` what became of
+    the services themselves, the oldest first. ``links`` are those of
     the arm's drawing, for who draws it. ``times_anew``: how often the machine has begun anew.
     """
 
@@ -74,6 +76,7 @@ class VisionApplication:
         self.positioning = settings.positioning
         self.overload: Callable[[], str] = str
         self.figures: Callable[[], dict[str, Any]] = dict
+        self.incidents: Callable[[], Sequence[ServiceIncident]] = tuple
         self.links: tuple[DhLink, ...] = ()
         self.looks = 0
         self.times_anew = 0

@@ -1,6 +1,7 @@
 """The vision PC's process: camera, link, application and REST API, from configuration to a clean end."""
 
 import asyncio
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -11,11 +12,12 @@ import cv2
 from fastapi import FastAPI
 
 from foundation.event_log import EventLog
+from foundation.incidents import incidents_here
 from foundation.live.feed import open_show
 from foundation.periods import Limit, Tally
 from foundation.rest.files import Home
+from foundation.rest.no_token import WARNING, access_without_token, without_token
 from foundation.rest.server import RestServer, serve_in_thread
-from foundation.rest.tokens import configured_access
 from foundation.secret_source import bound_tcp
 from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
@@ -62,7 +64,7 @@ class VisionService:
         self._log = log
         self._arm = arm
         self._programs = programs
-        access = configured_access(config.api, "vision.api", STOPS, PUBLIC)
+        access = access_without_token(config.api, "vision.api", os.environ, STOPS, PUBLIC)
         self._access = access._replace(advise=advice)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         self._told: Callable[[], str] = str
@@ -155,10 +157,13 @@ class VisionService:
 
     def _app(self, application: VisionApplication, operations: Operations) -> FastAPI:
         """The API over what lives in this loop."""
+        application.incidents = incidents_here().newest
         home, face = Home(asyncio.get_running_loop()), self._config.api.emulator_face
         return create_app(application, operations, self._programs, home, face)
 
     def _say_ready(self) -> None:
+        if without_token(os.environ):
+            self._log.write("without_token", "warning", cause="configuration.no_token", detail=WARNING)
         host, port = self._socket.getsockname()
         say_ready(
             _NAME,

@@ -18,8 +18,9 @@ from laboratory.campaigns.experiment import Check, Experiment, Finished
 from laboratory.campaigns.options import Assignments
 from laboratory.experiments.robustness.strangers import ATTACKS, Listeners
 from protocol.errors import LongreachError
-from testbed.realtime.launch import Launch, prepare, supervised
+from testbed.realtime.launch import Launch, prepare
 from testbed.realtime.rest_rig import RestRig
+from testbed.realtime.supervisor import supervised
 from testbed.reporting.console import bars, table
 from vision_pc.application.results import JSON
 

@@ -35,8 +35,9 @@ from protocol.process_image import (
     decode_sensors,
 )
 from testbed.realtime.child import Service
-from testbed.realtime.launch import CONTROLLER, PLANT, Launch, Supervisor, prepare, supervised
+from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.live_client import LiveClient
+from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import bars, table
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from testbed.realtime.child import Service, ServiceFailed
-from testbed.realtime.launch import Supervisor, free_port, supervised
+from foundation.incidents import IncidentFile
+from testbed.realtime.child import INCIDENT_FILE, Service, ServiceFailed
+from testbed.realtime.launch import free_port
+from testbed.realtime.supervisor import Supervisor, supervised
 
 pytestmark = pytest.mark.realtime
 
@@ -74,7 +76,7 @@ def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
 def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     program = (
         "import time; from pathlib import Path; from testbed.realtime.child import *\n"
-        "from testbed.realtime.launch import *\n"
+        "from testbed.realtime.supervisor import *\n"
         f"s = Supervisor(Path({str(tmp_path)!r}))\n"
         "s.start(Service('x', 'tests.testbed.realtime.child_service', ('good',)))\n"
         "print(s.children['x'].pid, flush=True); time.sleep(60)"
@@ -102,10 +104,10 @@ def test_free_ports_are_free() -> None:
         assert free_port() != port
 
 
-def test_a_killed_service_is_told_with_its_signal_and_its_last_error(tmp_path: Path) -> None:
+def test_a_killed_service_is_told_with_its_signal(tmp_path: Path) -> None:
     with supervised([service("lives")], tmp_path) as supervisor:
         supervisor.children["service"].kill()
-        with pytest.raises(ServiceFailed, match=r"by itself with signal SIGKILL$"):
+        with pytest.raises(ServiceFailed, match=r"by itself with signal SIGKILL \(somebody else ended it\)$"):
             supervisor.check()
 
 
@@ -113,7 +115,7 @@ def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str
     told: list[str] = []
     until_s = time.monotonic() + within_s
     while time.monotonic() < until_s and not any(wanted in line for line in told):
-        supervisor.watch(0.1, interval_s=0.02, tell=told.append)
+        supervisor.watch(0.1, interval_s=0.02, tell=lambda _at_s, said: told.append(said))
     return told
 
 
@@ -142,6 +144,45 @@ def test_a_service_that_another_ends_is_started_anew_alone(tmp_path: Path) -> No
         assert anew.pid != second
         assert anew.arguments == ("lives", "--record-dir", "out.2")
         assert (tmp_path / "second.2.log").exists()
+
+
+@pytest.mark.slow("services start and crash")
+def test_a_service_that_crashes_is_started_anew_alone(tmp_path: Path) -> None:
+    with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
+        first, second = (child.pid for child in supervisor.children.values())
+        os.kill(second, signal.SIGSEGV)
+        crashed, ready = told_until(supervisor, "ready again", 20.0)
+        anew = supervisor.children["second"]
+        assert crashed == "second crashed with signal SIGSEGV (a fault in compiled code)"
+        assert ready == f"second is ready again: process {anew.pid}; the arm stays disabled"
+        assert supervisor.children["first"].pid == first
+        assert anew.pid != second
+    (noted,) = IncidentFile(tmp_path / INCIDENT_FILE).newest()
+    assert (noted.service, noted.cause) == ("second", "service.crashed")
+    assert noted.detail == f"{crashed}; it is started anew"
+
+
+@pytest.mark.slow("services start and crash")
+def test_three_crashes_end_all_with_the_cause_of_the_first(tmp_path: Path) -> None:
+    with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
+        for name, number in (("second", signal.SIGSEGV), ("first", signal.SIGKILL)):
+            os.kill(supervisor.children[name].pid, number)
+            told_until(supervisor, "ready again", 20.0)
+        os.kill(supervisor.children["second"].pid, signal.SIGKILL)
+        quoted = (
+            r"^3 crashes within a minute; the first, at \d\d:\d\d:\d\d: second crashed with signal SIGSEGV"
+        )
+        with pytest.raises(ServiceFailed, match=quoted) as caught:
+            told_until(supervisor, "never", 20.0)
+        assert caught.value.cause == "service.crashed"
+
+
+@pytest.mark.slow("a service starts three times")
+def test_a_service_that_crashes_at_every_start_ends_all_too(tmp_path: Path) -> None:
+    with supervised([service("dies")], tmp_path) as supervisor:
+        quoted = r"^3 crashes within a minute.* service crashed with status 3: oil\.lost: the pump ran dry"
+        with pytest.raises(ServiceFailed, match=quoted):
+            told_until(supervisor, "never", 20.0)
 
 
 def test_a_full_disk_loses_lines_and_not_the_service(tmp_path: Path) -> None:

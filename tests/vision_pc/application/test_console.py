@@ -12,6 +12,7 @@ import foundation.rest
 import protocol
 import vision_pc
 from foundation.configuration import load
+from foundation.incidents import ServiceIncident
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dh_links, skeleton
 from plant_emulator.shell import fault_api
@@ -30,7 +31,7 @@ from vision_pc.application.console.alarms import (
     alarm_json,
 )
 from vision_pc.application.console.overlay import PredictedEllipse, overlay
-from vision_pc.application.console.overview import conditions, ellipse_of, glimpse, told_by
+from vision_pc.application.console.overview import Overview, conditions, ellipse_of, glimpse, told_by
 from vision_pc.application.ports import Seen
 from vision_pc.core.types import Look
 
@@ -129,6 +130,22 @@ async def test_what_is_wrong_is_found_in_a_glimpse() -> None:
         }
         lost = conditions(seen._replace(state=None, trouble=("link.silent", "no state")))
         assert lost["link.silent"] == Condition(URGENT, "no state")
+
+
+@pytest.mark.realtime
+async def test_what_became_of_the_services_is_an_alarm_once_and_stands_in_the_state() -> None:
+    async with bench() as made:
+        crash = ServiceIncident(
+            90.0, "controller", "service.crashed", "controller crashed with signal SIGKILL"
+        )
+        made.station.incidents = lambda: (crash,)
+        overview = Overview(made.station.links)
+        for now_s in (100.0, 101.0):
+            overview.note(now_s, glimpse(made.station))
+        (row,) = overview.document(glimpse(made.station), None)["alarms"]
+        assert (row["cause"], row["began_at"], row["detail"]) == (crash.cause, 90.0, crash.detail)
+        assert "log" in row["advice"]
+        assert (await made.client.get("/state")).json()["incidents"] == [crash._asdict()]
 
 
 def a_look() -> Look:

@@ -25,6 +25,8 @@ _OF_CAUSE = {
     "link.session_occupied": "Another client holds the controller: end it, or wait.",
     "machine.begun_anew": "Reset, enable, turn parallel, calibrate; click the targets again.",
     "machine.overloaded": "Close other work on this machine.",
+    "machine.no_real_time": "Keep the machine free of other work, or allow the services the real-time class.",
+    "service.crashed": "Read the service's log for what it did last; then reset and enable.",
     "recording.unwritable": "Events cannot be recorded: look after the disk.",
     "refused.asked_too_late": "The network held it up. Look at the machine, then ask once more.",
     "request.bad_header": "Send the time of a snapshot of GET /events, or leave the header out.",
@@ -135,6 +137,8 @@ _OF_CAUSE = {
     "refused.disturbance": "Mend the disturbance of the installed package.",
     "refused.fault_parameter": "Give the fault's parameters as GET /faults/kinds lists them.",
     "refused.faults_not_allowed": "Start with --allow-faults.",
+    "refused.other_machine": "Without a token only this machine may ask: take LONGREACH_NO_TOKEN away, and"
+    " use one.",
     "refused.foreign_host": "Ask under a name of this machine, or add it to the allowed hosts.",
     "refused.foreign_origin": "Open the console at this service's own address.",
     "refused.no_such_fault": "It is over, or was never there: see GET /faults.",

@@ -1,12 +1,13 @@
 """The whole rig at a glance, as one document: what a console shows, gathered for all consoles at once."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.incidents import ServiceIncident
 from nominal_arm.dimensions import DhLink, skeleton
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FAULT_TEXTS, FaultCode, GroupState
@@ -72,6 +73,7 @@ class Glimpse(NamedTuple):
     tolerance_m: float
     times_anew: int = 0
     home: Array | None = None
+    incidents: Sequence[ServiceIncident] = ()
 
 
 def glimpse(application: VisionApplication) -> Glimpse:
@@ -105,6 +107,7 @@ def glimpse(application: VisionApplication) -> Glimpse:
         positioning.tolerance_m,
         application.times_anew,
         link.home,
+        application.incidents(),
     )
 
 
@@ -119,6 +122,7 @@ class Overview:
         self._links = links
         self.anew_at: float | None = None
         self._times_anew = 0
+        self._noted: set[ServiceIncident] = set()
 
     def note(self, now_s: float, seen: Glimpse) -> None:
         """Take note of what is wrong at ``now_s``."""
@@ -126,6 +130,10 @@ class Overview:
         if seen.times_anew != self._times_anew:
             self._times_anew, self.anew_at = seen.times_anew, now_s
             self.alarms.happened(now_s, "machine.begun_anew", _ANEW)
+        for incident in seen.incidents:
+            if incident not in self._noted:
+                self.alarms.happened(incident.at_s, incident.cause, incident.detail, HIGH)
+        self._noted = set(seen.incidents)
 
     def document(self, seen: Glimpse, predicted: PredictedEllipse | None) -> JSON:
         """The document of one glimpse. ``predicted``: that of the newest motion, where it still holds."""

@@ -160,6 +160,7 @@ def _add_state(app: FastAPI, application: VisionApplication, operations: Operati
         """Group state, fault, joints, poses, timing, links, and what has been calibrated."""
         return state_json(application) | {
             "overload": application.overload() or None,
+            "incidents": [incident._asdict() for incident in application.incidents()],
             "operation": operations.current.id if operations.current else None,
             "calibration": None
             if application.calibration is None

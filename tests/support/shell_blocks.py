@@ -1,0 +1,69 @@
+"""Shell blocks of the pages, run as a reader pastes them."""
+
+import json
+import os
+import re
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tests.support.pages import page
+
+API = "http://127.0.0.1:8000"
+_BLOCK = re.compile(r"^```\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_NUMBER = r"-?\d+(?:\.\d+)?"
+
+
+def blocks(name: str) -> list[str]:
+    """The shell blocks of docs/``name``, in their order."""
+    return _BLOCK.findall(page(name))
+
+
+def pasted(
+    block: str, api: str, into: Path, environment: Mapping[str, str], compose: str, within_s: float
+) -> str:
+    """What ``block`` prints, pasted in the folder ``into`` against ``api``, with this spelling of Compose."""
+    text = block.replace(API, api).replace("docker compose", compose)
+    done = subprocess.run(
+        ["bash", "-c", text],
+        cwd=into,
+        env=os.environ | dict(environment),
+        capture_output=True,
+        text=True,
+        timeout=within_s,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def documents(printed: str) -> list[dict[str, Any]]:
+    """The JSON documents of a block's output, a line each; other lines are left out."""
+    return [json.loads(line) for line in printed.splitlines() if line.startswith("{")]
+
+
+def refusals(answers: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The problem documents, and operations that did not succeed."""
+    return [each for each in answers if "cause" in each or each.get("state", "succeeded") != "succeeded"]
+
+
+def judge_rest_block(printed: str, into: Path) -> None:
+    """Every line of the block of rest.md has done what it is for, and the page's figures hold."""
+    answers = documents(printed)
+    assert len(answers) == 8, printed
+    failed = refusals(answers)
+    assert not failed, failed
+    look = answers[4]
+    assert (into / "latest.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    text = page("rest.md")
+    shown = json.loads("{" + re.findall(r'`("error_mm":\{[^`]*\})`', text)[0] + "}")["error_mm"]
+    ((within_xy, within_z),) = re.findall(
+        rf"x and y differ from this by at most ({_NUMBER}) mm, z by ({_NUMBER}) mm", text
+    )
+    limits = {"x": float(within_xy), "y": float(within_xy), "z": float(within_z)}
+    told = {axis: look["error_mm"][axis] - shown[axis] for axis in limits}
+    assert all(abs(told[axis]) <= limits[axis] for axis in limits), told
+    assert f'"verdict":"{look["verdict"]}"' in text
+    assert answers[5]["kind"] == "looking-and-moving"
+    assert answers[6]["connected"] is True
