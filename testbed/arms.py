@@ -22,7 +22,7 @@ from testbed.scenarios.scenario import Settings
 from vision_pc.core.se3 import exp_so3
 
 _OF_ONE_ARM = {
-    "arm": ("name", "dh", "joints", "drives", "rated", "workspace"),
+    "arm": ("dh", "joints", "drives", "rated", "workspace"),
     "plant": ("start_pose_deg", "geometry", "masses", "flexibility", "actuators"),
     "scene": ("object_of_interest.position_m",),
 }
@@ -41,7 +41,7 @@ def begin_arm(directory: Path, like: Path, settings: Settings) -> list[Path]:
     written = [_write(directory / BASE_FILE, like, {"over": below})]
     for stem, keys in _OF_ONE_ARM.items():
         whole = getattr(settings, stem).model_dump(mode="json", exclude_none=True)
-        chosen: dict[str, Any] = {}
+        chosen: dict[str, Any] = {"name": directory.resolve().name} if stem == "arm" else {}
         for key in keys:
             first, _, second = key.partition(".")
             chosen[first] = {second: whole[first][second]} if second else whole[first]
