@@ -17,6 +17,7 @@ from plant_emulator.core.faults.effects import (
     break_hydraulics,
     encoder_shift,
     load_kg,
+    object_shift_m,
     sensor_fault_reported,
     stuck_encoders,
     swapped_valves,
@@ -206,7 +207,8 @@ class Plant:
         X_WB, X_BT, X_WT = self._poses(state[self._model.places.angle])
         X_WC, X_WM = X_WT @ mounts.X_TC, X_WT @ mounts.X_TM
         X_CW = inverse(X_WC)
-        X_CM, X_CO = X_CW @ X_WM, X_CW @ mounts.X_WO
+        X_WO = mounts.X_WO @ transform(np.eye(3), object_shift_m(self.faults.active, self.time_ns))
+        X_CM, X_CO = X_CW @ X_WM, X_CW @ X_WO
         return PlantTruth(
             time_ns=self.time_ns,
             q=state[_JOINT_ANGLES],
@@ -217,7 +219,7 @@ class Plant:
             X_WT=X_WT,
             X_WC=X_WC,
             X_WM=X_WM,
-            X_WO=mounts.X_WO,
+            X_WO=X_WO,
             p_CM=X_CM[:3, 3],
             p_CO=X_CO[:3, 3],
             R_CM=X_CM[:3, :3],

@@ -26,7 +26,7 @@ from plant_emulator.shell.child_process import ended, started
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 from protocol.errors import LinkLost
 
-_POSES = struct.Struct("<4Q46d")
+_POSES = struct.Struct("<4Q62d")
 _MESSAGE_BYTES = 1 << 16
 _REPORT_NS = 1_000_000_000
 
@@ -41,7 +41,9 @@ class _Sights(BaseModel):
 def encode_shot(shot: Shot) -> bytes:
     """The datagram that carries ``shot`` to the renderer: numbers, then what hinders its sight as JSON."""
     shown = shot.shown
-    numbers = (*shown.view.X_WC.flat, *shown.view.X_WM.flat, *shown.motion.rates.flat, *shown.drift_px)
+    X_WO = np.full((4, 4), np.nan) if shown.view.X_WO is None else shown.view.X_WO
+    view = (*shown.view.X_WC.flat, *shown.view.X_WM.flat, *X_WO.flat)
+    numbers = (*view, *shown.motion.rates.flat, *shown.drift_px)
     poses = _POSES.pack(shot.frame_id, shot.capture_ns, shown.frame_id, shown.capture_ns, *numbers)
     return poses + _Sights(blind=shot.blind, covers=shot.covers).model_dump_json().encode()
 
@@ -49,9 +51,10 @@ def encode_shot(shot: Shot) -> bytes:
 def decode_shot(data: bytes) -> Shot:
     """The shot in a datagram; what is sent is to be delivered."""
     frame_id, capture_ns, shown_id, shown_ns, *numbers = _POSES.unpack_from(data)
-    X_WC, X_WM = np.array(numbers[:32]).reshape(2, 4, 4)
-    motion = CameraMotion(np.array(numbers[32:44]).reshape(2, 6))
-    shown = Capture(shown_id, shown_ns, CameraView(X_WC, X_WM), motion, (numbers[44], numbers[45]))
+    X_WC, X_WM, X_WO = np.array(numbers[:48]).reshape(3, 4, 4)
+    view = CameraView(X_WC, X_WM, X_WO if np.isfinite(X_WO).all() else None)
+    motion = CameraMotion(np.array(numbers[48:60]).reshape(2, 6))
+    shown = Capture(shown_id, shown_ns, view, motion, (numbers[60], numbers[61]))
     sights = _Sights.model_validate_json(data[_POSES.size :])
     return Shot(frame_id, capture_ns, shown, sights.blind, sights.covers, delivered=True)
 

@@ -163,7 +163,7 @@ class PlantService:
         self._truth = truth = self._plant.truth()
         if capture and self._camera is not None:
             motion = self._plant.motion() if self._config.scene.camera.shows_motion else None
-            view = CameraView(truth.X_WC, truth.X_WM)
+            view = CameraView(truth.X_WC, truth.X_WM, truth.X_WO)
             faults = self._plant.faults.in_force()
             frame_id = self._camera.capture(view, STILL if motion is None else motion, deadline_ns, faults)
             if self._recorder is not None:

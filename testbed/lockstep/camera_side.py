@@ -54,7 +54,7 @@ class CameraSide:
         """Take the frame of ``time_ns``, a multiple of the period, and show it to the viewers."""
         truth = plant.truth()
         motion = plant.motion() if self._config.shows_motion else None
-        view = CameraView(truth.X_WC, truth.X_WM)
+        view = CameraView(truth.X_WC, truth.X_WM, truth.X_WO)
         number = time_ns // self.period_ns
         capture = Capture(number, time_ns, view, STILL if motion is None else motion)
         exposure = Exposure(truth, self._exposures.shot(capture, plant.faults.in_force()), motion)

@@ -82,7 +82,7 @@ class TrueView:
         self._standing = _screens(scene.mounts.X_WO, scene.standing)
         corners = scene.marker_corners()
         self._hung = [number for number, (parent, _) in corners.items() if parent == "O"]
-        self._hung_W = apply(scene.mounts.X_WO, _stack_corners([corners[number][1] for number in self._hung]))
+        self._hung_O = _stack_corners([corners[number][1] for number in self._hung])
         self._carried = [number for number, (parent, _) in corners.items() if parent == "M"]
         outlines = [_outline(plate) for plate in scene.tool_plates]
         self._carried_M = _stack_corners([*(corners[number][1] for number in self._carried), *outlines])
@@ -96,8 +96,10 @@ class TrueView:
     def _corners(self, shown: Capture, eye: int) -> dict[int, Array | None]:
         """What one eye sees of every marker: pixels (4, 2), None where it is out of view or hidden."""
         glance = self._glance(shown)
-        hung = glance.seen(eye, self._hung_W).reshape(-1, 4, 2)
-        behind = np.asarray(self._behind(glance, eye, self._hung_W).reshape(-1, 4).any(axis=1))
+        slid = shown.view.X_WO
+        hung_W = apply(self._scene.mounts.X_WO if slid is None else slid, self._hung_O)
+        hung = glance.seen(eye, hung_W).reshape(-1, 4, 2)
+        behind = np.asarray(self._behind(glance, eye, hung_W).reshape(-1, 4).any(axis=1))
         on_tool = glance.seen(eye, self._carried_M, on_tool=True).reshape(-1, 4, 2)
         carried, outlines = np.split(on_tool, [len(self._carried)])
         hiding = [outline.astype(np.float32) for outline in outlines if np.isfinite(outline).all()]

@@ -82,7 +82,7 @@ class RenderedPixels:
         self._shots: dict[int, Shot] = {}
         for record in recording.truths:
             if record.frame_id is not None:
-                view = CameraView(record.truth.X_WC, record.truth.X_WM)
+                view = CameraView(record.truth.X_WC, record.truth.X_WM, record.truth.X_WO)
                 now = [fault for said, fault in faults if _in_force(said, record.truth.time_ns)]
                 if config.camera.shows_motion and record.motion is None:
                     why = f"{truth.name}: its camera shows motion within an exposure, which is not recorded"

@@ -23,10 +23,13 @@ Matrix = NDArray[np.float64]
 
 
 class CameraView(NamedTuple):
-    """Poses (4x4) in W of the left eye and of the tool marker."""
+    """Poses (4x4) in W of the left eye, the tool marker, and the object with all that hangs about it; None:
+    where the scene has it.
+    """
 
     X_WC: Matrix
     X_WM: Matrix
+    X_WO: Matrix | None = None
 
 
 class CameraMotion(NamedTuple):
@@ -36,8 +39,9 @@ class CameraMotion(NamedTuple):
 
     def at(self, view: CameraView, offset_s: float) -> CameraView:
         """The view ``offset_s`` after (or, negative, before) the instant of ``view``."""
-        X_WC, X_WM = (_pose_after(X, rate * offset_s) for X, rate in zip(view, self.rates, strict=True))
-        return CameraView(X_WC, X_WM)
+        moving = zip((view.X_WC, view.X_WM), self.rates, strict=True)
+        X_WC, X_WM = (_pose_after(X, rate * offset_s) for X, rate in moving)
+        return CameraView(X_WC, X_WM, view.X_WO)
 
 
 STILL = CameraMotion(np.zeros((2, 6)))
@@ -62,7 +66,8 @@ class Capture(NamedTuple):
 
 def motion_between(before: CameraView, now: CameraView, interval_s: float) -> CameraMotion:
     """The motion that carries ``before`` into ``now`` in ``interval_s``."""
-    return CameraMotion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))
+    pairs = ((before.X_WC, now.X_WC), (before.X_WM, now.X_WM))
+    return CameraMotion(np.stack([_difference(a, b) / interval_s for a, b in pairs]))
 
 
 def _pose_after(X: Matrix, step: Matrix) -> Matrix:

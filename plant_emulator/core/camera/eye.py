@@ -131,7 +131,8 @@ class Eye:
         edge_m = self._edge_m(views[0].X_WC, time_s)
         self._paint_wall(picture, X_EOs, edge_m)
         for group in (self._on_wall, self._sheets(_of("O", covers))):
-            self._paint_plates(picture, group, X_EOs @ group.poses[:, None], group.poses, edge_m)
+            X_OPs = self._slid(group.poses, capture.view.X_WO)
+            self._paint_plates(picture, group, X_EOs @ X_OPs[:, None], X_OPs, edge_m)
         for passer, group in zip(self._scene.passers, self._passing, strict=True):
             X_OPs = np.stack([passer.pose(time_s + end_s) for end_s in self._ends_s])
             self._paint_plates(picture, group, (X_EOs @ X_OPs)[None], X_OPs[:1], edge_m)
@@ -158,6 +159,13 @@ class Eye:
     @cached_property
     def _passing(self) -> list[Sheets]:
         return [self._sheets((passer.plate,)) for passer in self._scene.passers]
+
+    def _slid(self, X_OPs: Matrix, X_WO: Matrix | None) -> Matrix:
+        """Where plates (n, 4, 4) in O are, in the O of the scene, once the object has slid to ``X_WO``."""
+        there = self._scene.mounts.X_WO
+        if X_WO is None or np.array_equal(X_WO, there):
+            return X_OPs
+        return np.asarray(np.linalg.inv(there) @ X_WO @ X_OPs)
 
     def _sheets(self, plates: tuple[Plate, ...]) -> Sheets:
         return sheets(plates, self._scene.config.wall.lighting_gradient_per_m)

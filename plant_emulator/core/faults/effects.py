@@ -11,6 +11,7 @@ from plant_emulator.core.faults.kinds import (
     EncoderBias,
     EncoderJump,
     EncoderStuck,
+    ObjectMoves,
     OwnFault,
     PayloadChange,
     PayloadDrop,
@@ -72,6 +73,16 @@ def load_kg(active: Sequence[Injection], now_ns: int, healthy_kg: float) -> floa
         elif isinstance(fault, OwnFault):
             load = _within(fault, "load_kg", fault.load_kg(injection.elapsed_s(now_ns), load), 0.0, MOST_KG)
     return load
+
+
+def object_shift_m(active: Sequence[Injection], now_ns: int) -> Array:
+    """How far (3,), m, the object has slid along its own axes."""
+    shift = np.zeros(3)
+    for injection in active:
+        fault = injection.fault
+        if isinstance(fault, ObjectMoves):
+            shift["xyz".index(fault.axis)] += 1e-3 * fault.speed_mm_s * injection.elapsed_s(now_ns)
+    return shift
 
 
 def stuck_encoders(faults: Sequence[AnyFault]) -> set[int]:

@@ -107,6 +107,16 @@ class PayloadChange(BaseFault):
     mass_kg: Annotated[float, Field(ge=0.0, le=1000.0)]
 
 
+class ObjectMoves(BaseFault):
+    """The object, with the markers and plates that hang about it, slides along one of its own axes; the wall
+    stays. A hanging plate, the other machine's soft ground, a boat. Its end puts it back.
+    """
+
+    kind: Literal["object_moves"] = "object_moves"
+    speed_mm_s: Annotated[float, Field(ge=-100.0, le=100.0)]
+    axis: Literal["x", "y", "z"] = "x"
+
+
 class CameraFrozen(BaseFault):
     """The same picture again and again: the last one taken before the fault.
 
@@ -190,6 +200,7 @@ Fault = (
     | EncoderBias
     | PayloadDrop
     | PayloadChange
+    | ObjectMoves
     | CameraFrozen
     | CameraBlind
     | FramesDropped

@@ -243,6 +243,7 @@ EVERY: list[dict[str, Any]] = [
     {"kind": "supply_lost"},
     {"kind": "payload_drop"},
     {"kind": "payload_change", "mass_kg": 12.0},
+    {"kind": "object_moves", "speed_mm_s": -0.5, "axis": "y"},
     {"kind": "camera_frozen", "stamps": "hold"},
     {"kind": "camera_blind", "grey": 255},
     {"kind": "frames_dropped", "share": 0.25},

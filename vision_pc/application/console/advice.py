@@ -107,7 +107,7 @@ _OF_CAUSE = {
     "target.frame_too_old": "Click in the live picture, with the arm at rest.",
     "target.hidden": "Click beside the tool, or jog until the tool is beside the place.",
     "target.low_texture": "Click where there is something to see, or light it better.",
-    "target.moves": "Click what stands still, or wait until it does.",
+    "target.moves": "The target moves: make it stand still, or click what does.",
     "target.no_hole": "Click inside the rim of a hole, seen whole.",
     "target.no_match": "Click a place that both eyes see.",
     "target.not_found": "Look whether it is in the picture; else click it again.",

@@ -18,6 +18,7 @@ from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
 from vision_pc.core.calibration.camera_at_rest import at_rest, begun_at, tracked
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
+from vision_pc.core.calibration.object_motion import refuse_moving_object
 from vision_pc.core.calibration.take_up import (
     TakeUp,
     backlash_sides,
@@ -52,7 +53,8 @@ class LocalTrack(NamedTuple):
     ``joint_residuals`` (P, 3) rad: servo residual of slew, lift and tilt at the end of each path so far,
     positive beyond the reference; ``take_up``: how the last path ended. ``residuals`` (D, 3) m in B: how
     far from their goal motions ended, by odometry. ``residual_motion`` m: how far the tool was seen to go
-    to and fro where it should have rested.
+    to and fro where it should have rested. ``contradiction`` m: how far the last look lay from where odometry
+    had the target, where both cannot be true; 0: they agreed.
     """
 
     X_KC: Array
@@ -63,6 +65,7 @@ class LocalTrack(NamedTuple):
     take_up: TakeUp
     residuals: Array
     residual_motion: float = 0.0
+    contradiction: float = 0.0
 
     @property
     def X_BT_now(self) -> Array:
@@ -111,7 +114,8 @@ async def record_local_track(
 ) -> LocalTrack:
     """Drive three legs along n, s and a from behind the present pose back to it; return their track.
 
-    Raises MeasurementFailed for lost odometry or too few samples; errors of arm and eyes pass through.
+    Raises MeasurementFailed for lost odometry, too few samples, and an object that moves meanwhile; errors of
+    arm and eyes pass through.
     """
     X_BT = (await arm.view()).X_BT
     report(0.05, f"three legs of {settings.leg_m:g} m")
@@ -140,13 +144,18 @@ async def watched_path(
 ) -> LocalTrack:
     """Drive a path through ``waypoints``; return its track, in the camera frame of its end.
 
-    ``markers``: seen on the way, they tell how far the camera is off its calibration.
+    ``markers``: seen on the way, they tell whether the object moves (MeasurementFailed ``target.moves``).
     """
     async with eyes.watch(markers=markers, odometry=True) as watch:
         begun = await at_rest(watch, settings.at_rest)
         first = begun_at(tracked(watch.samples), begun, settings.at_rest.agree_m)
         end = await move_with_take_up(arm, waypoints, take_up, dimensions, settings)
         ended = await at_rest(watch, settings.at_rest, len(watch.samples))
+    if markers:
+        way_m = 4.0 * settings.leg_m
+        refuse_moving_object(
+            watch.samples, 2.0 * settings.odometry_std_m + settings.odometry_scale_std * way_m
+        )
     track = track_of(watch.samples, first, max(AT_REST, settings.at_rest.pictures))
     swings = (end.take_up.swing_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
     return track._replace(
@@ -192,6 +201,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         further.take_up,
         np.concatenate([track.residuals, further.residuals]),
         further.residual_motion,
+        track.contradiction,
     )
 
 

@@ -36,6 +36,7 @@ from vision_pc.core.positioning.look_then_move import (
 )
 from vision_pc.core.positioning.predicted_end import (
     PlannedStep,
+    contradiction_m,
     end_by_look,
     end_by_odometry,
     expected_residual,
@@ -47,6 +48,7 @@ from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
 _DOUBTFUL = 0.5  # of the tolerance: what is predicted does not expect ends farther off
+_CONTRADICTED = ": odometry had the target elsewhere: does it move?"
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -114,12 +116,24 @@ async def look_then_move_corrected(
         track = _track_with(track, motion, residual_B, map_settings)
     seen = end_by_odometry(residuals, look, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
-    looks = judge(look, settings), judge(await eyes.look(), settings)
-    report(1.0, _error_in_words(looks[-1]))
-    unresolved = np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
-    stopped = Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
-    ended = Ended.REACHED if reached(looks[-1], settings) else stopped
+    last = await eyes.look()
+    looks = judge(look, settings), judge(last, settings)
+    track = track._replace(contradiction=contradiction_m(seen, last, settings))
+    ended = _ended(looks[-1], seen, track, settings)
+    report(1.0, _error_in_words(looks[-1]) + (_CONTRADICTED if ended is Ended.CONTRADICTED else ""))
     return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track, fitted.delay)
+
+
+def _ended(
+    verdict: LookVerdict, seen: ExpectedEnd, track: LocalTrack, settings: PositioningSettings
+) -> Ended:
+    """Why nothing followed the last look, where odometry ``seen`` said what it did."""
+    if track.contradiction > 0.0:
+        return Ended.CONTRADICTED
+    if reached(verdict, settings):
+        return Ended.REACHED
+    unresolved = np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
+    return Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
 
 
 def _track_with(

@@ -49,7 +49,8 @@ class Step(NamedTuple):
 
 class Ended(StrEnum):
     """Why no further input followed: inside the aim, no use, the inputs are used up, the machine could not
-    bring what odometry saw outside the tolerance inside it, or the tool stood nearer than drives end.
+    bring what odometry saw outside the tolerance inside it, the tool stood nearer than drives end, or the
+    last look contradicts odometry: the object has moved, or one of the two is wrong.
     """
 
     REACHED = "reached"
@@ -57,6 +58,7 @@ class Ended(StrEnum):
     INPUT_LIMIT = "input_limit"
     NOT_RESOLVED = "not_resolved"
     NEAR_ENOUGH = "near_enough"
+    CONTRADICTED = "contradicted"
 
 
 class PositioningResult(NamedTuple):

@@ -147,6 +147,19 @@ def end_by_look(residual: Array, look: Look, track: LocalTrack, settings: Positi
     return expected_end(residual, _look_covariance(look, track, settings), settings.tolerance_m)
 
 
+_CONTRADICTS = 4.0  # [D] σ in x and y: 3 of 10,000 looks at what stands still, if both σ are honest
+
+
+def contradiction_m(seen: ExpectedEnd, last: Look, settings: PositioningSettings) -> float:
+    """How far (m) the ``last`` look lies in x and y from where odometry had ``seen`` the end; 0: no farther
+    than both explain.
+    """
+    off = (last.X_CO[:3, 3] - last.X_CM[:3, 3])[:2] - seen.mean_m[:2]
+    covariance = (seen.covariance + last.cov_CM[:3, :3] + last.cov_CO[:3, :3])[:2, :2]
+    distance = math.sqrt(float(off @ np.linalg.solve(covariance, off)))
+    return float(np.linalg.norm(off)) if distance > _CONTRADICTS else 0.0
+
+
 def _uncorrected_backlash(x: Array, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
     """Covariance (3, 3) m² in B of what backlash leaves of a step ``x`` (3,) m that is driven in one go.
 
@@ -162,14 +175,15 @@ def _uncorrected_backlash(x: Array, fitted: LocalErrorModel, settings: LocalErro
 
 def _look_covariance(look: Look, track: LocalTrack, settings: PositioningSettings) -> Array:
     """Covariance (3, 3) m² of the error that ``look`` measures: of tool and object as they were seen, of the
-    axis along which the clearance is kept, and of where an arm that goes to and fro was just then.
+    axis along which the clearance is kept, of where an arm that goes to and fro was just then, and of an
+    object that was last elsewhere than expected.
 
     Half of that way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its
     encoder. No motion ends any of that.
     """
     aside = (settings.axis_std_rad * settings.clearance_m) ** 2 * np.diag([1.0, 1.0, 0.0])
-    residual_motion = (0.5 * track.residual_motion) ** 2 * np.eye(3)
-    return np.asarray(look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + aside + residual_motion)
+    unsteady = ((0.5 * track.residual_motion) ** 2 + track.contradiction**2) * np.eye(3)
+    return np.asarray(look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + aside + unsteady)
 
 
 def _odometry_covariance(d: Array, look: Look, settings: LocalErrorModelSettings) -> Array:
