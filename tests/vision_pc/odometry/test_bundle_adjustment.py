@@ -185,8 +185,8 @@ def test_a_full_map_of_a_recording_tells_what_its_new_keyframes_err_by(
     camera: CameraCalibration, config: VisionConfig, long_way: list[Array], texture: Array
 ) -> None:
     """Once it ended in a KeyError: a keyframe that took the place of another was not seen to be new."""
-    settings = config.odometry.model_copy(update={"keyframes": 2, "keyframe_overlap": 0.9})
-    odometry = SegmentedOdometry(camera, settings, config.recorded_odometry)
+    settings = config.odometry_of_recordings.model_copy(update={"keyframes": 2, "keyframe_overlap": 0.9})
+    odometry = SegmentedOdometry(camera, settings)
     for k, X in enumerate(long_way[:5]):
         placed = odometry.process(pair_at(camera, texture, X, seed=k))
         assert placed is not None, odometry.last_loss

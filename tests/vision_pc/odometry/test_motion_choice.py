@@ -1,18 +1,13 @@
 """Which motion is believed: depths known badly put all of their points off, a slow thing but some."""
 
-from typing import cast
-
 import numpy as np
 import pytest
 
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry.frame import Frame
-from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
-from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice, SeenMotion
+from vision_pc.core.odometry.motion_choice import MotionChoice, SeenMotion
 from vision_pc.core.odometry.motion_prior import Foreseen, MotionPrior
-from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration
 
@@ -20,32 +15,22 @@ ASIDE = se3.transform(np.eye(3), (1.2, 0.0, 0.0))  # ten bases: a tenth of a pix
 OFF_PX, THEIRS, COUNT = 3.5, 60, 200
 
 
-class Shown:
-    """The ids of points, in place of a keyframe: nothing else of it is asked where motions are foreseen."""
-
-    def __init__(self, ids: np.ndarray) -> None:
-        self.ids = ids
-
-
 @pytest.mark.parametrize(("known_well", "moves"), [(0, False), (20, True)])
 def test_points_that_other_depths_put_right_are_a_second_motion_unless_all_are(
     camera: CameraCalibration, config: VisionConfig, known_well: int, moves: bool
 ) -> None:
-    settings = config.odometry.model_copy(update={"prior_floor_px": 3.0, "second_motion_share": 0.15})
-    known = KeyframeMap(camera, 0.2, 0.03)
+    known = KeyframeMap(camera, 0.2)
     x, y = np.random.default_rng(3).uniform((0.4, -0.6), (1.6, 0.6), (COUNT, 2)).T
     points = np.column_stack([x, y, np.full(COUNT, 2.0)])
     ids = known.add_points(se3.identity(), points, 0.1)
     learnt = ids[:known_well]
     for _ in range(9):
         still = np.zeros((2, known_well, 2))
-        known.update(learnt, se3.inverse(ASIDE), still, np.ones((2, known_well)), 0.1)
+        known.update(learnt, se3.inverse(ASIDE), still, np.ones((2, known_well)), 0.1, still)
     pixels = intrinsics.project(camera.left, se3.apply(se3.inverse(ASIDE), points))
     pixels[:THEIRS, 0] += OFF_PX
-    choice = MotionChoice(camera, settings, known, Readout(camera, learns=False), doubted=False)
-    shown = cast("Keyframe", Shown(ids))
-    foreseen = Foreseen(MotionPrior(ASIDE, 50.0, 1.0))
-    found = choice.chosen(cast("Frame", None), FoundPoints(shown, shown, pixels), ASIDE, foreseen)
+    choice = MotionChoice(camera, config.odometry_of_recordings, known, doubted=False)
+    found = choice.chosen(ids, pixels, ASIDE, Foreseen(MotionPrior(ASIDE, 50.0)))
     if moves:
         assert found == "two_motions"
     else:

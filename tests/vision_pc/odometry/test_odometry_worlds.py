@@ -97,8 +97,7 @@ def test_a_camera_that_warms_at_rest_does_not_stretch_the_way(
     to teach the map's scale.
     """
     way = [se3.transform(np.eye(3), (0.03 * k, 0.0, 0.0)) for k in range(11)]
-    settings = config.odometry.model_copy(update={"pictures_a_place": 16})
-    odometry = StereoOdometry(camera, settings)
+    odometry = StereoOdometry(camera, config.odometry)
     for k, X in enumerate(way):
         arrived = odometry.process(pair_at(camera, texture, X, seed=k))
     last = arrived

@@ -80,7 +80,7 @@ def told(camera: CameraCalibration, config: VisionConfig, world: World) -> Told:
     )  # fmt: skip
     nearer = se3.transform(np.eye(3), (0.0, 0.0, 1.0 - 1.0 / world.zoom))
     eye, guess = camera.left, (pixels - MIDDLE) * world.zoom + MIDDLE
-    found, good = patches.found(keyframe, after, guess, nearer, eye, eye, config.odometry)
+    found, good = patches.found(keyframe, after, guess, nearer, eye, eye)
     stds = patches.match_stds(keyframe.only(good), after, found[good], nearer, eye, eye)
     return Told((found - guess - SHIFT * world.zoom)[good], stds)
 

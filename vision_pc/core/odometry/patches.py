@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from foundation.compiled import allocation_free
-from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes import patch_parts
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
@@ -25,6 +24,7 @@ from vision_pc.core.types import CameraModel, Image
 
 Whole = NDArray[np.int32]
 
+_LEAST_LIKENESS = 0.3  # [M] normalised cross-correlation of a match: 0.44 is what heavy noise leaves
 _STEPS = 20
 _CONVERGED = 0.002  # px
 _WANDERED = 4.0  # px from the guess, after which it is another patch
@@ -86,20 +86,19 @@ def found(
     X_C0C: Array,
     keyframe_eye: CameraModel,
     eye: CameraModel,
-    settings: OdometrySettings,
 ) -> tuple[Array, Flags]:
     """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), and which are
     believed.
 
     ``image`` is what it sees, ``guess`` (n, 2) px within about two pixels. Believed: converged near the
-    guess, with the configured normalised cross-correlation.
+    guess, with enough normalised cross-correlation.
     """
     X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
     warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
     sought = keyframe.templates.patches()
     ends, likeness = guess.copy(), np.empty(len(guess))
     _match(sought, keyframe.rows, image, ends, likeness, warps, _room(sought.side))
-    return ends, likeness >= settings.likeness
+    return ends, likeness >= _LEAST_LIKENESS
 
 
 def match_stds(

@@ -1,66 +1,74 @@
-"""How well a pose is known in pictures of a camera that nobody here knows.
+"""How well a pose is known that points of a map hold: by what they truly do.
 
 The solution weighs views by a floor that depths of any recording deserve, so its own covariance tells of that
-floor. What a pose truly errs by follows from what its points truly do, each with the hold that it has on the
+floor. What a pose truly errs by follows from what its points miss by, each with the hold that it has on the
 pose (Huber 1967; for few points MacKinnon and White 1985).
 """
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 
-from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Indices
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.se3 import Array
 
-_FEW_POINTS = 75.0  # [E] of so few the variance is larger by that of the points: one may hold the pose aside
-_TIMES = (0.7, 0.7, 0.7, 0.7, 2.0, 4.0)  # [E] of the variance; last the two in which points hold a pose least
+_RIGHT_COLUMN = np.array([0.0, 0.0, 1.0, 0.0])  # of a point's views: columns and rows of left and right eye
 
 
-def covariance(
-    keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float
-) -> Array:
-    """The covariance (6×6), [δp; δθ] in C0, of a camera at ``X_CC0`` that the points ``ids`` (n,) hold with
-    ``weights`` (2, n) of views of ``noise_px`` that miss by ``errors_px`` (2, n, 2).
+class PoseSpread(NamedTuple):
+    """How far a pose may be off, [δp; δθ] in C0.
 
-    What ``of_points`` tells, more where points are few, and in the two directions in which they hold the pose
-    least, a turn counted by how far it moves what is at their depth: what patches err by together ends up
-    there, and there alone are single poses three and more of their standard deviations off.
-    """
-    alone = of_points(keyframe_map, ids, X_CC0, errors_px, weights, noise_px)
-    depth = float(np.median(se3.apply(X_CC0, keyframe_map.points[ids])[:, 2]))
-    unit = np.outer(size := np.array([1.0, 1.0, 1.0, depth, depth, depth]), size)
-    values, axes = np.linalg.eigh(alone * unit)  # rising
-    times = np.array(_TIMES) + (_FEW_POINTS / len(ids)) ** 2
-    return np.asarray((axes * (times * values)) @ axes.T / unit)
-
-
-def of_points(
-    keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float
-) -> Array:
-    """The same of many points: what depths err by as well as they are known, and what points do miss by, as
-    if each were left out. It has drawn the pose towards itself.
-    """
-    rates = _by_points(keyframe_map.pose_rates(ids, X_CC0))
-    precisions = _by_points(np.repeat((weights / noise_px)[:, :, None] ** 2, 2, axis=2))
-    pulls = precisions[..., None] * rates  # of a px that a view misses by
-    information = np.einsum("nik,nil->kl", pulls, rates)
-    known = np.linalg.inv(information)
-    moved = _by_points(keyframe_map.sensitivity(ids, X_CC0) * keyframe_map.told_stds(ids)[:, None])
-    hold = np.einsum("nik,kl,njl->nij", rates, known, pulls)
-    alone = np.linalg.solve(np.eye(hold.shape[1]) - hold, _by_points(errors_px)[..., None])[..., 0]
-    scores = np.einsum("knid,kni->knd", np.stack([pulls, pulls]), np.stack([moved, alone])).reshape(-1, 6)
-    return np.asarray(known @ scores.T @ scores @ known)
-
-
-def held_by(keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, weights: Array) -> dict[int, Array]:
-    """How (6×6) the pose goes with what all points of a keyframe have in common, by the numbers of those that
+    ``covariance`` (6×6): by its own points, if keyframes are where they are thought to be. ``by_offset``
+    (6,): how it goes by a px of an offset that all disparities share (right columns, picture minus model),
+    seen from these keyframes, and ``views_by_offset`` (2, n, 2) what its views then miss by. ``held_by``: how
+    (6×6) it goes with what all points of a keyframe have in common, by the numbers of the keyframes that
     first showed points: where one alone shows what is near, it alone moves the camera aside.
     """
+
+    covariance: Array
+    by_offset: Array
+    views_by_offset: Array
+    held_by: Mapping[int, Array]
+
+
+EXACT = PoseSpread(np.zeros((6, 6)), np.zeros(6), np.zeros((2, 0, 2)), {})
+"""Of the camera that C0 is."""
+
+
+def pose_spread(
+    keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float
+) -> PoseSpread:
+    """The spread of a camera at ``X_CC0`` that the points ``ids`` (n,) hold with ``weights`` (2, n) of views
+    of ``noise_px`` that miss by ``errors_px`` (2, n, 2).
+
+    The covariance is that of many points: what depths err by as well as they are known, and what points do
+    miss by, as if each were left out. It has drawn the pose towards itself.
+    """
     rates = _by_points(keyframe_map.pose_rates(ids, X_CC0))
-    precisions = _by_points(np.repeat(weights[:, :, None] ** 2, 2, axis=2))
-    shares = np.einsum("nik,nil->nkl", precisions[..., None] * rates, rates)
-    known, shown_by = np.linalg.inv(shares.sum(axis=0)), keyframe_map.shown_by(ids)
-    return {int(number): known @ shares[shown_by == number].sum(axis=0) for number in np.unique(shown_by)}
+    pulls = _by_points(np.repeat((weights / noise_px)[:, :, None] ** 2, 2, axis=2))[..., None] * rates
+    of_points = np.swapaxes(pulls, 1, 2) @ rates  # information (n, 6, 6)
+    known = np.linalg.inv(of_points.sum(axis=0))
+    by_depth = _by_points(keyframe_map.sensitivity(ids, X_CC0))
+    moved = by_depth * keyframe_map.reported_stds(ids)[:, None]
+    hold = rates @ known @ np.swapaxes(pulls, 1, 2)
+    alone = np.linalg.solve(np.eye(hold.shape[1]) - hold, _by_points(errors_px)[..., None])[..., 0]
+    scores = np.vstack([_pull(pulls, moved), _pull(pulls, alone)])
+    missed: Array = _RIGHT_COLUMN - by_depth * keyframe_map.depths_by_offset(ids)[:, None]
+    by_offset = known @ _pull(pulls, missed).sum(axis=0)
+    shown_by = keyframe_map.shown_by(ids)
+    return PoseSpread(
+        known @ scores.T @ scores @ known,
+        by_offset,
+        np.swapaxes((missed - rates @ by_offset).reshape(-1, 2, 2), 0, 1),
+        {int(k): known @ of_points[shown_by == k].sum(axis=0) for k in np.unique(shown_by)},
+    )
+
+
+def _pull(pulls: Array, views: Array) -> Array:
+    """How each point draws the pose (n, 6) that its ``views`` (n, 4) px miss by."""
+    return np.asarray((views[:, None, :] @ pulls)[:, 0])
 
 
 def _by_points(views: Array) -> Array:

@@ -10,14 +10,15 @@ import numpy as np
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes import bundle_adjustment
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, shared
-from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift, view_rates
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
+from vision_pc.core.odometry.limits import HUBER_PX, NOISE_PX
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
 _LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
-SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
+_SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
+_REPORTED_PX = 0.03  # [E] by rendered sequences: what differs from point to point; the rest they share
 _OLDEST = 0.2  # of points: may be mismatched
 
 
@@ -28,13 +29,7 @@ class KeyframeMap:
     whole map, relative.
     """
 
-    def __init__(
-        self,
-        camera: CameraCalibration,
-        depth_floor_px: float,
-        depth_told_px: float = 0.0,
-        drifts: bool = False,
-    ) -> None:
+    def __init__(self, camera: CameraCalibration, depth_floor_px: float) -> None:
         self.keyframes: list[Keyframe] = []
         self.points = np.zeros((0, 3))
         self._eyes = (camera.left, camera.right)
@@ -42,10 +37,10 @@ class KeyframeMap:
         self._disparity_metres = disparity_metres(camera)
         self._least_std = depth_floor_px / self._disparity_metres
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
-        self._told_std = depth_told_px / self._disparity_metres
-        self._inverse_depths, self._information, self._told = np.zeros(0), np.zeros(0), np.zeros(0)
+        self._reported_std = min(depth_floor_px, _REPORTED_PX) / self._disparity_metres
+        self._inverse_depths, self._information, self._reported = np.zeros(0), np.zeros(0), np.zeros(0)
+        self._by_offset = np.zeros(0)  # how inverse depths go by a px of an offset of all disparities, 1/m
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
-        self._drift = MapDrift(camera) if drifts else None
         self.scale_std = 0.0
         self._forgotten = -1  # the greatest number of a keyframe that was left out
 
@@ -54,12 +49,11 @@ class KeyframeMap:
         X_C0C: Array,
         points_C: Array,
         noise_px: Array | float,
-        drift: Array | None = None,
-        told_px: float = 0.0,
+        matched_px: float = 0.0,
     ) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
-        the next keyframe, their disparities to ``noise_px`` (n,). ``drift`` (6,): how its pose goes by a px
-        of the disparities' offset; ``told_px``: what matching truly leaves, where that is known.
+        the next keyframe, their disparities to ``noise_px`` (n,); ``matched_px``: what matching truly
+        leaves, where that is known.
         """
         first, count = len(self.points), len(points_C)
         inverse_depths = 1.0 / points_C[:, 2]
@@ -70,11 +64,10 @@ class KeyframeMap:
         self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
         std = np.full(count, noise_px) * self._least_std / self._depth_floor_px
         self._information = np.concatenate([self._information, _precisions(std)])
-        told = np.full(count, np.maximum(noise_px, told_px)) / self._disparity_metres
-        self._told = np.concatenate([self._told, _precisions(told)])
+        reported = np.full(count, np.maximum(noise_px, matched_px)) / self._disparity_metres
+        self._reported = np.concatenate([self._reported, _precisions(reported)])
+        self._by_offset = np.concatenate([self._by_offset, np.full(count, -1.0 / self._disparity_metres)])
         self._first = np.concatenate([self._first, np.full(count, self.next_number)])
-        if self._drift is not None:
-            self._drift.add(self.next_number, count, drift)
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
 
@@ -119,27 +112,21 @@ class KeyframeMap:
     def pose_rates(self, ids: Indices, X_CC0: Array) -> Array:
         """How the eyes' views of points ``ids`` move with the camera's [δp; δθ] in C0, px (2, n, 2, 6)."""
         X_C0C, points = se3.inverse(X_CC0), self.points[ids]
-        return np.stack([view_rates(eye, X_C0C, points)[1] for eye in self._eyes])
-
-    def drift(self, ids: Indices, X_CC0: Array, weights: Array) -> PoseDrift | None:
-        """How a pose that points ``ids`` hold with ``weights`` (2, n) goes by a px of the disparities'
-        offset, with all that they have gone themselves; None where that is not followed.
-        """
-        if self._drift is None:
-            return None
-        gone = self._drift.of_points(ids, self._lines(ids))
-        return self._drift.of_pose(se3.inverse(X_CC0), self.points[ids], gone, weights)
-
-    def _lines(self, ids: Indices) -> Lines:
-        return Lines(self._first[ids], self._origins[ids], self._directions[ids], self._inverse_depths[ids])
+        return np.stack([_pose_rates(eye, X_C0C, points) for eye in self._eyes])
 
     def stds(self, ids: Indices) -> Array:
         """Standard deviations (n,) of the inverse depths, 1/m."""
         return np.asarray(np.maximum(self._information[ids] ** -0.5, self._least_std))
 
-    def told_stds(self, ids: Indices) -> Array:
+    def reported_stds(self, ids: Indices) -> Array:
         """What inverse depths truly are known to (n,), 1/m: the floor of ``stds`` is what weighs them."""
-        return np.asarray(np.maximum(self._told[ids] ** -0.5, self._told_std))
+        return np.asarray(np.maximum(self._reported[ids] ** -0.5, self._reported_std))
+
+    def depths_by_offset(self, ids: Indices) -> Array:
+        """How inverse depths of points ``ids`` go (n,), 1/m, by a px of an offset of all disparities. It puts
+        each wrong by the same amount at first; what pictures show of depths on the way takes that back.
+        """
+        return np.asarray(self._by_offset[ids])
 
     def update(
         self,
@@ -148,22 +135,21 @@ class KeyframeMap:
         errors_px: Array,
         weights: Array,
         noise_px: float,
-        drift: PoseDrift | None = None,
+        views_by_offset: Array,
     ) -> None:
         """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
 
         ``errors_px`` (2, n, 2) measured minus expected in both eyes, ``weights`` (2, n) 0…1, ``noise_px``
-        of one coordinate; ``drift`` of the frame's pose, where it is followed.
+        of one coordinate; ``views_by_offset`` (2, n, 2) as of a ``PoseSpread``.
         """
         J = self.sensitivity(ids, X_CC0)
         precision = weights[:, :, None] / noise_px**2
         added = (precision * J * J).sum(axis=(0, 2))
         self._information[ids] += added
-        self._told[ids] += added / SHARED
+        self._reported[ids] += added / _SHARED
         known = np.maximum(self._information[ids], self.stds(ids) ** -2.0)
         step = (precision * J * errors_px).sum(axis=(0, 2)) / known
-        if self._drift is not None and drift is not None:
-            self._drift.learn(ids, (precision * J * drift.views).sum(axis=(0, 2)) / known)
+        self._by_offset[ids] += (precision * J * views_by_offset).sum(axis=(0, 2)) / known
         limit = 3.0 * self.stds(ids)
         self._inverse_depths[ids] += np.clip(step, -limit, limit)
         self._information[ids] = np.minimum(self._information[ids], self._least_std**-2.0)
@@ -174,7 +160,7 @@ class KeyframeMap:
         self._forgotten = max(self._forgotten, keyframe.number)
         self.keyframes = [kept for kept in self.keyframes if kept is not keyframe]
 
-    def adjust(self, window: int, noise_px: float, huber_px: float) -> None:
+    def adjust(self, window: int) -> None:
         """Bring the newest ``window`` keyframes and the points that they share with others into agreement.
 
         Held by what stays: the first keyframe, and up to ``window`` older ones that show the same points.
@@ -187,11 +173,7 @@ class KeyframeMap:
         if not held:
             return
         problem, ids = self._problem(held, free, shown)
-        found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
-        there = problem._replace(X_CC0=found.X_CC0, points=found.points)
-        if self._drift is not None:
-            numbers = [keyframe.number for keyframe in (*held, *free)]
-            self._drift.adjust(there, numbers, ids, self._lines(ids), (noise_px, huber_px))
+        found = bundle_adjustment.adjusted(problem, self._eyes, NOISE_PX, HUBER_PX)
         for keyframe, X_CC0 in zip(free, found.X_CC0[len(held) :], strict=True):
             self._move(keyframe, se3.inverse(X_CC0))
         lengths = np.linalg.norm(self._directions[ids], axis=1)
@@ -200,15 +182,15 @@ class KeyframeMap:
         self._directions[ids] = away * self._inverse_depths[ids][:, None]
         self.points[ids] = found.points
 
-    def offset_told(self, window: int, noise_px: float, huber_px: float) -> bundle_adjustment.OffsetTold:
+    def offset_told(self, window: int) -> bundle_adjustment.OffsetTold:
         """What the newest ``window`` keyframes tell of an offset of the right eye's columns, from what both
         eyes saw and from nothing else.
         """
         chosen = self.keyframes[-window:]
         problem, _ = self._problem(chosen[:1], chosen[1:], np.concatenate([one.ids for one in chosen]), True)
-        found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
+        found = bundle_adjustment.adjusted(problem, self._eyes, NOISE_PX, HUBER_PX)
         there = problem._replace(X_CC0=found.X_CC0, points=found.points)
-        return bundle_adjustment.shared_offset(there, self._eyes, noise_px, huber_px)
+        return bundle_adjustment.shared_offset(there, self._eyes, NOISE_PX, HUBER_PX)
 
     def _problem(
         self, held: list[Keyframe], free: list[Keyframe], shown: Indices, views_alone: bool = False
@@ -254,3 +236,18 @@ def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) ->
     seen, moved = se3.apply(X_EC0, points), rates @ X_EC0[:3, :3].T
     slopes = (moved[:, :2] - seen[:, :2] / seen[:, 2:] * moved[:, 2:]) / seen[:, 2:]
     return np.asarray(slopes * (eye.K[0, 0], eye.K[1, 1]))
+
+
+def _pose_rates(eye: CameraModel, X_C0C: Array, points: Array) -> Array:
+    """How what ``eye`` of a camera at ``X_C0C`` sees of ``points`` (n, 3) goes by the camera's [δp; δθ], all
+    in C0, px/m and px/rad (n, 2, 6).
+    """
+    X_EC0 = se3.inverse(X_C0C @ eye.X_CE)
+    seen = se3.apply(X_EC0, points)
+    slopes = np.zeros((len(seen), 2, 3))
+    for axis in range(2):
+        slopes[:, axis, axis] = eye.K[axis, axis] / seen[:, 2]
+        slopes[:, axis, 2] = -eye.K[axis, axis] * seen[:, axis] / seen[:, 2] ** 2
+    by_point = slopes @ X_EC0[:3, :3]
+    turned = np.cross(by_point, (points - X_C0C[:3, 3])[:, None, :])  # by · (L × θ) = (by × L) · θ
+    return np.concatenate([-by_point, turned], axis=2)

@@ -19,6 +19,7 @@ from vision_pc.core.types import Image
 _ACROSS = 3  # parts of a patch's side
 _LEAST_LIKENESS = 0.1  # with less nothing is told
 _MOST_PX = 3.0
+_ONE = np.uintp(1)
 
 
 def match_stds(keyframe: Keyframe, image: Image, ends: Array, warps: Array) -> Array:
@@ -56,7 +57,7 @@ def _tell(
         stds[n] = min(math.sqrt(0.5 * (across + along)) / likeness, _MOST_PX)
 
 
-@allocation_free
+@allocation_free(fastmath={"contract", "reassoc"})
 def _sampled(
     image: Image,
     x: float,
@@ -69,30 +70,31 @@ def _sampled(
     """Fill ``seen`` with what ``image`` shows, of mean 0 and norm 1; its likeness to ``patch``, -1: flat."""
     a, b, c, d = warp
     half, count = side // 2, side * side
-    total = squares = 0.0
     for i in range(side):
+        column, row = x + b * (i - half) - a * half, y + d * (i - half) - c * half
         for j in range(side):
-            column, row = x + a * (j - half) + b * (i - half), y + c * (j - half) + d * (i - half)
-            left, top = int(column), int(row)
-            fx, fy = column - left, row - top
-            upper = float(image[top, left]) * (1.0 - fx) + fx * float(image[top, left + 1])
-            lower = float(image[top + 1, left]) * (1.0 - fx) + fx * float(image[top + 1, left + 1])
-            value = upper + fy * (lower - upper)
-            seen[i * side + j] = value
-            total += value
-            squares += value * value
+            across, along = column + a * j, row + c * j
+            left, top = np.uintp(across), np.uintp(along)  # unsigned: no place counts from the end
+            fx, fy = across - left, along - top
+            upper, lower = float(image[top, left]), float(image[top + _ONE, left])
+            upper += fx * (float(image[top, left + _ONE]) - upper)
+            lower += fx * (float(image[top + _ONE, left + _ONE]) - lower)
+            seen[i * side + j] = upper + fy * (lower - upper)
+    total = squares = likeness = 0.0
+    for k in range(count):
+        total += seen[k]
+        squares += seen[k] * seen[k]
+        likeness += seen[k] * patch[k]  # of mean 0: the mean of what is seen drops out
     mean = total / count
     norm = math.sqrt(max(squares - total * mean, 0.0))
     if norm < FLAT:
         return -1.0
-    likeness = 0.0
     for k in range(count):
         seen[k] = (seen[k] - mean) / norm
-        likeness += seen[k] * patch[k]
-    return likeness
+    return likeness / norm
 
 
-@allocation_free
+@allocation_free(fastmath={"contract", "reassoc"})
 def _pulls(patterns: Array, seen: Array, likeness: float, side: int) -> tuple[float, float, float]:
     """The sums xx, xy, yy of the parts' pulls squared, about their mean."""
     sxx = sxy = syy = bx_all = by_all = 0.0
