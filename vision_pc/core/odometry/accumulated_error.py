@@ -13,13 +13,12 @@ _NONLINEAR = 0.004  # [E] of what an offset does to a pose, in every direction: 
 
 
 class _Keyframe(NamedTuple):
-    """Where a keyframe is, the ``root`` (6×6) of that place's covariance without what an offset does, of
-    errors that all keyframes before it made alike, and how it goes ``by_offset`` (6,).
+    """Where a keyframe is, and the ``root`` (6×6) of that place's covariance without what an offset does: of
+    errors that all keyframes before it made alike.
     """
 
     place: Array
     root: Array
-    by_offset: Array
 
 
 class AccumulatedError:
@@ -37,26 +36,24 @@ class AccumulatedError:
     def after(self, X_C0C: Array, spread: PoseSpread, made: int | None) -> Array:
         """The covariance (6×6) of a pose with this ``spread``; ``made``: the keyframe that it became."""
         place = X_C0C[:3, 3]
-        root, handed_on = self._held(spread.held_by, place)
-        by_offset = spread.by_offset + handed_on
+        root, by_offset = self._root_held(spread.held_by, place), spread.by_offset
         if made is not None:
-            self._keyframes[made] = _Keyframe(place, root + _root(spread.covariance), by_offset)
+            self._keyframes[made] = _Keyframe(place, root + _root(spread.covariance))
         bent = np.outer(by_offset, by_offset)
         for part in (slice(0, 3), slice(3, 6)):
             bent[part, part] += _NONLINEAR**2 * (by_offset[part] @ by_offset[part]) * np.eye(3)
         return np.asarray(spread.covariance + root @ root.T + self._std_px**2 * bent)
 
-    def _held(self, held_by: Mapping[int, Array], place: Array) -> tuple[Array, Array]:
-        """What keyframes hand on to a pose at ``place``, each as far as its points hold it: the root (6×6) of
-        the covariance of what they got wrong, and how they go (6,) by an offset.
+    def _root_held(self, held_by: Mapping[int, Array], place: Array) -> Array:
+        """The root (6×6) of the covariance, at ``place``, of what keyframes got wrong and hand on: each what
+        of it its points hold.
         """
-        root, by_offset = np.zeros((6, 6)), np.zeros(6)
+        total = np.zeros((6, 6))
         for number, share in held_by.items():
             before, lever = self._keyframes[number], np.eye(6)
             lever[:3, 3:] = -se3.hat(place - before.place)
-            root += share @ lever @ before.root
-            by_offset += share @ lever @ before.by_offset
-        return root, by_offset
+            total += share @ lever @ before.root
+        return total
 
 
 def _root(covariance: Array) -> Array:

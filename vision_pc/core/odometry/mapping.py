@@ -97,6 +97,7 @@ class Mapper:
             points_C,
             np.hypot(NOISE_PX, stds[1]),
             estimate.residual_px,
+            estimate.spread.by_offset,
         )
         grown = estimate._replace(
             ids=np.concatenate([estimate.ids, ids]),

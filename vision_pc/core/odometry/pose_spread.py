@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Indices
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
 from vision_pc.core.se3 import Array
 
 _RIGHT_COLUMN = np.array([0.0, 0.0, 1.0, 0.0])  # of a point's views: columns and rows of left and right eye
@@ -22,7 +23,7 @@ class PoseSpread(NamedTuple):
 
     ``covariance`` (6×6): by its own points, if keyframes are where they are thought to be. ``by_offset``
     (6,): how it goes by a px of an offset that all disparities share (right columns, picture minus model),
-    seen from these keyframes, and ``views_by_offset`` (2, n, 2) what its views then miss by. ``held_by``: how
+    and ``views_by_offset`` (2, n, 2) what its views then miss by. ``held_by``: how
     (6×6) it goes with what all points of a keyframe have in common, by the numbers of the keyframes that
     first showed points: where one alone shows what is near, it alone moves the camera aside.
     """
@@ -44,7 +45,8 @@ def pose_spread(
     of ``noise_px`` that miss by ``errors_px`` (2, n, 2).
 
     The covariance is that of many points: what depths err by as well as they are known, and what points do
-    miss by, as if each were left out. It has drawn the pose towards itself.
+    miss by, as if each were left out. It has drawn the pose towards itself. Twice that, as patches err by
+    together what each alone does not show.
     """
     rates = _by_points(keyframe_map.pose_rates(ids, X_CC0))
     pulls = _by_points(np.repeat((weights / noise_px)[:, :, None] ** 2, 2, axis=2))[..., None] * rates
@@ -55,11 +57,13 @@ def pose_spread(
     hold = rates @ known @ np.swapaxes(pulls, 1, 2)
     alone = np.linalg.solve(np.eye(hold.shape[1]) - hold, _by_points(errors_px)[..., None])[..., 0]
     scores = np.vstack([_pull(pulls, moved), _pull(pulls, alone)])
+    carried = keyframe_map.carried_by_offset(ids, se3.inverse(X_CC0)[:3, 3])
     missed: Array = _RIGHT_COLUMN - by_depth * keyframe_map.depths_by_offset(ids)[:, None]
+    missed += (rates @ carried[..., None])[..., 0]
     by_offset = known @ _pull(pulls, missed).sum(axis=0)
     shown_by = keyframe_map.shown_by(ids)
     return PoseSpread(
-        known @ scores.T @ scores @ known,
+        SHARED * known @ scores.T @ scores @ known,
         by_offset,
         np.swapaxes((missed - rates @ by_offset).reshape(-1, 2, 2), 0, 1),
         {int(k): known @ of_points[shown_by == k].sum(axis=0) for k in np.unique(shown_by)},

@@ -15,10 +15,11 @@ from vision_pc.core.odometry.limits import HUBER_PX, NOISE_PX
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
-_LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
+_LEASTSHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
-_SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
+SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _REPORTED_PX = 0.03  # [E] by rendered sequences: what differs from point to point; the rest they share
+_NOT_MOVED = np.zeros(6)
 _OLDEST = 0.2  # of points: may be mismatched
 
 
@@ -39,7 +40,8 @@ class KeyframeMap:
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
         self._reported_std = min(depth_floor_px, _REPORTED_PX) / self._disparity_metres
         self._inverse_depths, self._information, self._reported = np.zeros(0), np.zeros(0), np.zeros(0)
-        self._by_offset = np.zeros(0)  # how inverse depths go by a px of an offset of all disparities, 1/m
+        # how inverse depths, 1/m, and keyframes, [δp; δθ] in C0, go by a px of an offset of all disparities
+        self._by_offset, self._keyframes_by_offset = np.zeros(0), np.zeros((0, 6))
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
         self.scale_std = 0.0
         self._forgotten = -1  # the greatest number of a keyframe that was left out
@@ -50,10 +52,11 @@ class KeyframeMap:
         points_C: Array,
         noise_px: Array | float,
         matched_px: float = 0.0,
+        by_offset: Array = _NOT_MOVED,
     ) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
         the next keyframe, their disparities to ``noise_px`` (n,); ``matched_px``: what matching truly
-        leaves, where that is known.
+        leaves, where that is known; ``by_offset`` (6,) of the camera, as of a ``PoseSpread``.
         """
         first, count = len(self.points), len(points_C)
         inverse_depths = 1.0 / points_C[:, 2]
@@ -67,7 +70,9 @@ class KeyframeMap:
         reported = np.full(count, np.maximum(noise_px, matched_px)) / self._disparity_metres
         self._reported = np.concatenate([self._reported, _precisions(reported)])
         self._by_offset = np.concatenate([self._by_offset, np.full(count, -1.0 / self._disparity_metres)])
-        self._first = np.concatenate([self._first, np.full(count, self.next_number)])
+        number = self.next_number
+        self._keyframes_by_offset = np.vstack([self._keyframes_by_offset[:number], by_offset])
+        self._first = np.concatenate([self._first, np.full(count, number)])
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
 
@@ -128,6 +133,14 @@ class KeyframeMap:
         """
         return np.asarray(self._by_offset[ids])
 
+    def carried_by_offset(self, ids: Indices, place: Array) -> Array:
+        """How a body at ``place`` goes, [δp; δθ] in C0 (n, 6), that the keyframes which first showed points
+        ``ids`` carry along, by a px of an offset of all disparities.
+        """
+        gone = self._keyframes_by_offset[self._first[ids]]
+        turned = np.cross(gone[:, 3:], place - self._origins[ids])
+        return np.hstack([gone[:, :3] + turned, gone[:, 3:]])
+
     def update(
         self,
         ids: Indices,
@@ -146,7 +159,7 @@ class KeyframeMap:
         precision = weights[:, :, None] / noise_px**2
         added = (precision * J * J).sum(axis=(0, 2))
         self._information[ids] += added
-        self._reported[ids] += added / _SHARED
+        self._reported[ids] += added / SHARED
         known = np.maximum(self._information[ids], self.stds(ids) ** -2.0)
         step = (precision * J * errors_px).sum(axis=(0, 2)) / known
         self._by_offset[ids] += (precision * J * views_by_offset).sum(axis=(0, 2)) / known
@@ -169,7 +182,7 @@ class KeyframeMap:
         shown = np.unique(np.concatenate([keyframe.ids for keyframe in free])) if free else np.zeros(0, int)
         older = self.keyframes[: len(self.keyframes) - len(free)]
         shares = [int(np.isin(keyframe.ids, shown).sum()) for keyframe in older]
-        held = [older[k] for k in np.argsort(shares, kind="stable")[-window:] if shares[k] >= _LEAST_SHARED]
+        held = [older[k] for k in np.argsort(shares, kind="stable")[-window:] if shares[k] >= _LEASTSHARED]
         if not held:
             return
         problem, ids = self._problem(held, free, shown)
