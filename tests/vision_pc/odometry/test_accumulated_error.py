@@ -8,7 +8,7 @@ import pytest
 from vision_pc.core import se3
 from vision_pc.core.odometry.accumulated_error import AccumulatedError
 from vision_pc.core.odometry.keyframes.keyframe import Indices
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.odometry.pose_spread import EXACT, PoseSpread, pose_spread
 from vision_pc.core.perception import stereo_pose
@@ -58,10 +58,14 @@ def missed(camera: CameraCalibration, points: Array, rays: Array, X_C0C: Array) 
     return np.stack(errors)
 
 
+def held_views(known: KeyframeMap, ids: Indices, X_C0C: Array, errors_px: Array) -> HeldViews:
+    return HeldViews(errors_px, np.ones((2, len(ids))), known.sensitivity(ids, se3.inverse(X_C0C)))
+
+
 def spread_at(known: KeyframeMap, ids: Indices, X_C0C: Array) -> PoseSpread:
     """Of a camera that the points hold and that misses none of them."""
-    errors, weights = np.zeros((2, len(ids), 2)), np.ones((2, len(ids)))
-    return pose_spread(known, ids, se3.inverse(X_C0C), errors, weights, 0.1)
+    views = held_views(known, ids, X_C0C, np.zeros((2, len(ids), 2)))
+    return pose_spread(known, ids, se3.inverse(X_C0C), views, 0.1)
 
 
 def grown(known: KeyframeMap, X_C0C: Array, points_C: Array, by_offset: Array = NO_MOTION) -> Indices:
@@ -97,8 +101,8 @@ def test_what_pictures_teach_of_depths_goes_too(camera: CameraCalibration) -> No
             seen = seen_with_offset(camera, AHEAD, true)
             found = solved(camera, known.points[ids], seen, AHEAD)
             errors = missed(camera, known.points[ids], seen, found)
-            views = spread_at(known, ids, found).views_by_offset
-            known.update(ids, se3.inverse(found), errors, np.ones((2, len(ids))), 0.1, views)
+            views = held_views(known, ids, found, errors)
+            known.update(ids, views, 0.1, spread_at(known, ids, found).views_by_offset)
         found = solved(camera, known.points[ids], seen_with_offset(camera, BEYOND, true), BEYOND)
         ways[pictures] = OFFSET_PX * spread_at(known, ids, BEYOND).by_offset
         np.testing.assert_allclose(ways[pictures], se3.local(BEYOND, found), rtol=0.05, atol=3e-6)

@@ -5,7 +5,7 @@ import pytest
 
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
 from vision_pc.core.odometry.motion_choice import MotionChoice, SeenMotion
 from vision_pc.core.odometry.motion_prior import Foreseen, MotionPrior
 from vision_pc.core.perception import intrinsics
@@ -26,7 +26,8 @@ def test_points_that_other_depths_put_right_are_a_second_motion_unless_all_are(
     learnt = ids[:known_well]
     for _ in range(9):
         still = np.zeros((2, known_well, 2))
-        known.update(learnt, se3.inverse(ASIDE), still, np.ones((2, known_well)), 0.1, still)
+        by_depth = known.sensitivity(learnt, se3.inverse(ASIDE))
+        known.update(learnt, HeldViews(still, np.ones((2, known_well)), by_depth), 0.1, still)
     pixels = intrinsics.project(camera.left, se3.apply(se3.inverse(ASIDE), points))
     pixels[:THEIRS, 0] += OFF_PX
     choice = MotionChoice(camera, config.odometry_of_recordings, known, doubted=False)

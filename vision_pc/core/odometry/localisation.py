@@ -11,7 +11,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, TeachingPictures
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.limits import (
     HUBER_PX,
@@ -38,13 +38,15 @@ _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 class _Views(NamedTuple):
     """Where the eyes see points: left ``pixels`` (n, 2), ``rays`` (2, n, 2), which are ``seen`` (2, n), and
-    what their patches tell of that, ``match_stds`` (2, n) px.
+    what their patches tell of that, ``match_stds`` (2, n) px. ``by_depth`` (2, n, 2): how views
+    move with inverse depths, px m.
     """
 
     pixels: Array
     rays: Array
     seen: Array
     match_stds: Array
+    by_depth: Array
 
 
 class Localiser:
@@ -92,16 +94,19 @@ class Localiser:
         self._keep(keyframe.templates)
         before, after = self._halves(keyframe, frame, other_light)
         coarse = tracking.track_halved(before, after, part.pixels, guess[visible])
-        pixels, good = self._find_points(part, frame.pair.left, coarse.points, expected, self._camera.left)
+        pixels, good, stds = self._find_points(
+            part, frame.pair.left, coarse.points, expected, self._camera.left
+        )
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
-        part, pixels = part.only(good), pixels[good]
+        part, pixels, stds = part.only(good), pixels[good], stds[good]
         if len(pixels) >= MINIMUM_INLIERS:
             chosen = self._choice.chosen(part.ids, pixels, expected, foreseen)
             if isinstance(chosen, str):
                 return chosen
             inliers = chosen.inliers
             if int(inliers.sum()) >= MINIMUM_INLIERS:
-                found = self._refined(frame, part.only(inliers), pixels[inliers], chosen.X_CC0, both_eyes)
+                left = pixels[inliers], stds[inliers]
+                found = self._refined(frame, part.only(inliers), left, chosen.X_CC0, both_eyes)
                 return found if isinstance(found, str) else found._replace(moving=pixels[chosen.moving])
         return "too_few_points"
 
@@ -120,14 +125,16 @@ class Localiser:
         self._kept = self._kept[-_KEPT:]
 
     def _refined(
-        self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array, both_eyes: bool
+        self, frame: Frame, keyframe: Keyframe, left: tuple[Array, Array], X_CC0: Array, both_eyes: bool
     ) -> PoseEstimate | str:
-        """The pose from the eyes' residuals, robustly, and its health."""
-        points = self._map.points[keyframe.ids]
+        """The pose from the eyes' residuals, robustly, and its health. ``left``: where that eye sees the
+        points (n, 2), and to what (n,), px.
+        """
+        points, pixels = self._map.points[keyframe.ids], left[0]
         right = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
-        seen_right = np.zeros(len(points), dtype=bool)
+        seen_right, right_stds = np.zeros(len(points), dtype=bool), np.zeros(len(points))
         if both_eyes:
-            right, seen_right = self._seen_right(frame, keyframe, right, X_CC0)
+            right, seen_right, right_stds = self._seen_right(frame, keyframe, right, X_CC0)
         rays = np.stack(
             [
                 intrinsics.normalised(eye, there)
@@ -135,8 +142,9 @@ class Localiser:
             ]
         )
         seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
-        stds = self._match_stds(frame, keyframe, (pixels, right), seen_right, X_CC0)
-        weights = seen * self._weights(keyframe.ids, X_CC0, stds)
+        stds = np.stack([left[1], right_stds])
+        by_depth = self._map.sensitivity(keyframe.ids, X_CC0)
+        weights = seen * self._weights(keyframe.ids, by_depth, stds)
         X_CC0 = self._solve(points, rays, weights, X_CC0).X_CA[0]
         errors = self._errors(points, rays, X_CC0)
         size = np.max(np.linalg.norm(errors, axis=2) * seen, axis=0)
@@ -146,27 +154,17 @@ class Localiser:
             return "too_few_points"
         if float(cells.mean()) < MINIMUM_COVERAGE:
             return "poor_coverage"
-        views = _Views(pixels[held], rays[:, held], seen[:, held], stds[:, held])
+        views = _Views(pixels[held], rays[:, held], seen[:, held], stds[:, held], by_depth[:, held])
         return self._estimate_from(keyframe.only(held), views, X_CC0)
-
-    def _match_stds(
-        self, frame: Frame, keyframe: Keyframe, found: tuple[Array, Array], seen_right: Flags, X_CC0: Array
-    ) -> Array:
-        """What patches tell of where both eyes' pictures show the points ``found`` (n, 2), px (2, n)."""
-        stds = np.zeros((2, len(seen_right)))
-        left, right, X_C0C = self._camera.left, self._camera.right, se3.inverse(X_CC0)
-        stds[0] = patches.match_stds(keyframe, frame.pair.left, found[0], X_C0C, left, left)
-        stds[1, seen_right] = patches.match_stds(
-            keyframe.only(seen_right), frame.pair.right, found[1][seen_right], X_C0C, left, right
-        )
-        return stds
 
     def _seen_right(
         self, frame: Frame, keyframe: Keyframe, guess: Array, X_CC0: Array
-    ) -> tuple[Array, Flags]:
-        """Where the right eye sees the keyframe's points, px (n, 2), expected at ``guess``; and which."""
+    ) -> tuple[Array, Flags, Array]:
+        """Where the right eye sees the keyframe's points, px (n, 2), expected at ``guess``; which are
+        believed, and to what (n,), px.
+        """
         usable = tracking.inside(guess, frame.right_static)
-        right, matched = self._find_points(
+        right, matched, stds = self._find_points(
             keyframe,
             frame.pair.right,
             np.where(usable[:, None], guess, 0.0),
@@ -174,13 +172,13 @@ class Localiser:
             self._camera.right,
         )
         on_row = np.abs(right[:, 1] - guess[:, 1]) < ROW_ERROR_PX
-        return right, usable & matched & on_row
+        return right, usable & matched & on_row, stds
 
     def _estimate_from(self, keyframe: Keyframe, found: "_Views", X_CC0: Array) -> PoseEstimate:
         """The pose from the points that held; they learn from it, unless pictures from there have taught."""
         ids, rays, seen = keyframe.ids, found.rays, found.seen
         trust = seen * self._noise_px / np.hypot(self._noise_px, found.match_stds)
-        weights = seen * self._weights(ids, X_CC0, found.match_stds)
+        weights = seen * self._weights(ids, found.by_depth, found.match_stds)
         teaches = self._teaching.teaches(X_CC0, self._map.points[ids], self._map.next_number)
         solution = self._solve(self._map.points[ids], rays, weights, X_CC0, teaches)
         X_CC0 = solution.X_CA[0]
@@ -188,9 +186,11 @@ class Localiser:
             self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
-        spread = pose_spread(self._map, ids, X_CC0, errors, weights, self._noise_px)
+        views = HeldViews(errors, weights, found.by_depth)
+        spread = pose_spread(self._map, ids, X_CC0, views, self._noise_px)
         if teaches:
-            self._map.update(ids, X_CC0, errors, trust**2, self._noise_px, spread.views_by_offset)
+            trusted = views._replace(weights=trust**2)
+            self._map.update(ids, trusted, self._noise_px, spread.views_by_offset)
         usual = float(np.sqrt(((errors * trust[:, :, None]) ** 2).sum() / (2.0 * seen.sum())))
         self._noise_px = max(usual, _LEAST_NOISE_PX)
         return PoseEstimate(
@@ -204,11 +204,11 @@ class Localiser:
             found.match_stds,
         )
 
-    def _weights(self, ids: Indices, X_CC0: Array, match_stds: Array) -> Array:
+    def _weights(self, ids: Indices, by_depth: Array, match_stds: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view, or the parts
         of a patch do not agree on it.
         """
-        moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
+        moved = np.linalg.norm(by_depth, axis=2) * self._map.stds(ids)
         return np.asarray(self._noise_px / np.hypot(self._noise_px, np.hypot(moved, match_stds)))
 
     def _solve(
@@ -232,5 +232,5 @@ class Localiser:
 
     def _find_points(
         self, keyframe: Keyframe, image: Image, guess: Array, X_C0C: Array, eye: CameraModel
-    ) -> tuple[Array, Flags]:
+    ) -> tuple[Array, Flags, Array]:
         return patches.found(keyframe, image, guess, X_C0C, self._camera.left, eye)

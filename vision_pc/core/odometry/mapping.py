@@ -163,21 +163,14 @@ class Mapper:
             self._templates(left, pixels),
             np.arange(len(rays)),
         )
-        found, matched = patches.found(
+        found, matched, found_stds = patches.found(
             patch, right, found, se3.identity(), self._camera.left, self._camera.right
         )
         points_C, good = self._triangulated(frame, pixels, found)
         good &= matched
-        stds = self._match_stds(patch.only(good), right, found[good])
+        stds = np.stack([np.zeros(int(good.sum())), found_stds[good]])  # the left eye shows what is sought
         right_rays = intrinsics.normalised(self._camera.right, found)[good]
         return points_C[good], pixels[good], right_rays, stds
-
-    def _match_stds(self, keyframe: Keyframe, right: Image, found: Array) -> Array:
-        """Of new points (2, m), px: the left eye shows what is sought."""
-        stds = np.zeros((2, len(found)))
-        eyes = (self._camera.left, self._camera.right)
-        stds[1] = patches.match_stds(keyframe, right, found, se3.identity(), *eyes)
-        return stds
 
     def _triangulated(self, frame: Frame, left: Array, right: Array) -> tuple[Array, Flags]:
         """Points (n, 3) in C of matched pixels (n, 2) of both eyes, and which of them make sense (n,)."""

@@ -2,7 +2,7 @@
 
 The solution weighs views by a floor that depths of any recording deserve, so its own covariance tells of that
 floor. What a pose truly errs by follows from what its points miss by, each with the hold that it has on the
-pose (Huber 1967; for few points MacKinnon and White 1985).
+pose (Huber 1967).
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ import numpy as np
 
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Indices
-from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, HeldViews, KeyframeMap
 from vision_pc.core.se3 import Array
 
 _RIGHT_COLUMN = np.array([0.0, 0.0, 1.0, 0.0])  # of a point's views: columns and rows of left and right eye
@@ -39,40 +39,41 @@ EXACT = PoseSpread(np.zeros((6, 6)), np.zeros(6), np.zeros((2, 0, 2)), {})
 
 
 def pose_spread(
-    keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float
+    keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, views: HeldViews, noise_px: float
 ) -> PoseSpread:
-    """The spread of a camera at ``X_CC0`` that the points ``ids`` (n,) hold with ``weights`` (2, n) of views
-    of ``noise_px`` that miss by ``errors_px`` (2, n, 2).
+    """The spread of a camera at ``X_CC0`` that the points ``ids`` (n,) hold by ``views`` of ``noise_px``.
 
     The covariance is that of many points: what depths err by as well as they are known, and what points do
-    miss by, as if each were left out. It has drawn the pose towards itself. Twice that, as patches err by
-    together what each alone does not show.
+    miss by. Twice that, as patches err by together what each alone does not show.
     """
     rates = _by_points(keyframe_map.pose_rates(ids, X_CC0))
-    pulls = _by_points(np.repeat((weights / noise_px)[:, :, None] ** 2, 2, axis=2))[..., None] * rates
-    of_points = np.swapaxes(pulls, 1, 2) @ rates  # information (n, 6, 6)
-    known = np.linalg.inv(of_points.sum(axis=0))
-    by_depth = _by_points(keyframe_map.sensitivity(ids, X_CC0))
+    pulls = _by_points(np.repeat((views.weights / noise_px)[:, :, None] ** 2, 2, axis=2))[..., None] * rates
+    known = np.linalg.inv(_information(pulls, rates))
+    by_depth = _by_points(views.by_depth)
     moved = by_depth * keyframe_map.reported_stds(ids)[:, None]
-    hold = rates @ known @ np.swapaxes(pulls, 1, 2)
-    alone = np.linalg.solve(np.eye(hold.shape[1]) - hold, _by_points(errors_px)[..., None])[..., 0]
-    scores = np.vstack([_pull(pulls, moved), _pull(pulls, alone)])
+    scores = np.vstack([_drawn(pulls, moved), _drawn(pulls, _by_points(views.errors_px))])
     carried = keyframe_map.carried_by_offset(ids, se3.inverse(X_CC0)[:3, 3])
-    missed: Array = _RIGHT_COLUMN - by_depth * keyframe_map.depths_by_offset(ids)[:, None]
-    missed += (rates @ carried[..., None])[..., 0]
-    by_offset = known @ _pull(pulls, missed).sum(axis=0)
+    missed = np.asarray(_RIGHT_COLUMN - by_depth * keyframe_map.depths_by_offset(ids)[:, None])
+    missed = missed + (rates * carried[:, None, :]).sum(axis=2)
+    by_offset = known @ _drawn(pulls, missed).sum(axis=0)
     shown_by = keyframe_map.shown_by(ids)
+    of_keyframes = {int(k): shown_by == k for k in np.unique(shown_by)}
     return PoseSpread(
         SHARED * known @ scores.T @ scores @ known,
         by_offset,
         np.swapaxes((missed - rates @ by_offset).reshape(-1, 2, 2), 0, 1),
-        {int(k): known @ of_points[shown_by == k].sum(axis=0) for k in np.unique(shown_by)},
+        {k: known @ _information(pulls[its], rates[its]) for k, its in of_keyframes.items()},
     )
 
 
-def _pull(pulls: Array, views: Array) -> Array:
+def _information(pulls: Array, rates: Array) -> Array:
+    """What points (n) tell of a pose (6×6)."""
+    return np.asarray(pulls.reshape(-1, 6).T @ rates.reshape(-1, 6))
+
+
+def _drawn(pulls: Array, views: Array) -> Array:
     """How each point draws the pose (n, 6) that its ``views`` (n, 4) px miss by."""
-    return np.asarray((views[:, None, :] @ pulls)[:, 0])
+    return np.asarray((pulls * views[..., None]).sum(axis=1))
 
 
 def _by_points(views: Array) -> Array:

@@ -113,7 +113,7 @@ def alike(image: Image, other: Image) -> Image:
     """``image`` as bright as ``other`` is: exposures differ from picture to picture, and flow is followed by
     grey levels.
     """
-    gain = (float(other.mean()) + 1.0) / (float(image.mean()) + 1.0)
+    gain = (cv2.mean(other)[0] + 1.0) / (cv2.mean(image)[0] + 1.0)
     if abs(gain - 1.0) < _SAME_LIGHT:
         return image
     return np.asarray(cv2.convertScaleAbs(image, alpha=gain), dtype=np.uint8)

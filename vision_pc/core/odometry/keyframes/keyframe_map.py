@@ -5,6 +5,8 @@ is unknown about it, only that is uncertain, and about equally so for near and f
 adds what it saw.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vision_pc.core import se3
@@ -21,6 +23,16 @@ SHARED = 2.0  # depths share the errors of the poses at which they were learnt: 
 _REPORTED_PX = 0.03  # [E] by rendered sequences: what differs from point to point; the rest they share
 _NOT_MOVED = np.zeros(6)
 _OLDEST = 0.2  # of points: may be mismatched
+
+
+class HeldViews(NamedTuple):
+    """Both eyes' views (2, n, 2) px of the points that hold a pose: what they miss by, their ``weights``
+    (2, n) 0…1, and how they move with the points' inverse depths, px m.
+    """
+
+    errors_px: Array
+    weights: Array
+    by_depth: Array
 
 
 class KeyframeMap:
@@ -141,27 +153,17 @@ class KeyframeMap:
         turned = np.cross(gone[:, 3:], place - self._origins[ids])
         return np.hstack([gone[:, :3] + turned, gone[:, 3:]])
 
-    def update(
-        self,
-        ids: Indices,
-        X_CC0: Array,
-        errors_px: Array,
-        weights: Array,
-        noise_px: float,
-        views_by_offset: Array,
-    ) -> None:
-        """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
-
-        ``errors_px`` (2, n, 2) measured minus expected in both eyes, ``weights`` (2, n) 0…1, ``noise_px``
-        of one coordinate; ``views_by_offset`` (2, n, 2) as of a ``PoseSpread``.
+    def update(self, ids: Indices, views: HeldViews, noise_px: float, views_by_offset: Array) -> None:
+        """Correct the points ``ids`` by what a frame saw, to ``noise_px`` of one coordinate;
+        ``views_by_offset`` (2, n, 2) as of a ``PoseSpread``.
         """
-        J = self.sensitivity(ids, X_CC0)
-        precision = weights[:, :, None] / noise_px**2
+        J = views.by_depth
+        precision = views.weights[:, :, None] / noise_px**2
         added = (precision * J * J).sum(axis=(0, 2))
         self._information[ids] += added
         self._reported[ids] += added / SHARED
         known = np.maximum(self._information[ids], self.stds(ids) ** -2.0)
-        step = (precision * J * errors_px).sum(axis=(0, 2)) / known
+        step = (precision * J * views.errors_px).sum(axis=(0, 2)) / known
         self._by_offset[ids] += (precision * J * views_by_offset).sum(axis=(0, 2)) / known
         limit = 3.0 * self.stds(ids)
         self._inverse_depths[ids] += np.clip(step, -limit, limit)
