@@ -102,12 +102,6 @@ class Foreseen(NamedTuple):
         """Whether anything is."""
         return self.motion is not None or self.arm is not None
 
-    def agrees(self, X_CC0: Array, points: Array, camera: CameraCalibration) -> bool:
-        """Whether ``X_CC0``, which sees ``points`` (n, 3), was foreseen; False where nothing was."""
-        if self.arm is not None:
-            return self.arm.agrees(se3.inverse(X_CC0))
-        return self.motion is not None and self.motion.agrees(X_CC0, points, camera)
-
     def chosen(self, places: Sequence[Array], points: Array, camera: CameraCalibration) -> int | str:
         """Which of two ``places`` (X_CC0) of the camera was foreseen, or the loss's cause where that does not
         tell.
@@ -146,12 +140,12 @@ class MotionHistory:
         tolerance = _FLOOR_PX + _TIMES * max(self._surprises)
         return MotionPrior(self._foreseen(), tolerance * (1 + self._lost) ** 2)
 
-    def found(self, X_C0C: Array, camera: CameraCalibration, points: Array) -> None:
-        """The camera was at ``X_C0C`` and saw ``points`` (n, 3)."""
+    def found(self, X_C0C: Array, camera: CameraCalibration, points: Array, pixels: Array) -> None:
+        """The camera was at ``X_C0C`` and its left eye saw ``points`` (n, 3) at ``pixels`` (n, 2)."""
         if self._X_C0C is not None and not self._lost:
             if self._motion is not None:
                 foreseen = se3.inverse(self._foreseen())
-                surprise = shift_px(foreseen, se3.inverse(X_C0C), points, camera)
+                surprise = _median_px(intrinsics.project(camera.left, se3.apply(foreseen, points)), pixels)
                 self._surprises = [*self._surprises, surprise][-_REMEMBERED:]
             self._motion = se3.inverse(self._X_C0C) @ X_C0C
         self._X_C0C, self._lost = X_C0C, 0
@@ -172,6 +166,11 @@ class MotionHistory:
 def shift_px(X_CC0: Array, other_CC0: Array, points: Array, camera: CameraCalibration) -> float:
     """Median distance (px) between the left eye's views of ``points`` (n, 3) from two places."""
     one, other = (intrinsics.project(camera.left, se3.apply(X, points)) for X in (X_CC0, other_CC0))
+    return _median_px(one, other)
+
+
+def _median_px(one: Array, other: Array) -> float:
+    """Median distance of pixels (n, 2); infinite where none can be told."""
     apart = np.linalg.norm(one - other, axis=1)
     seen = np.isfinite(apart)
     return float(np.median(apart[seen])) if seen.any() else np.inf
@@ -188,9 +187,13 @@ class History:
         """What is foreseen of a pair in which the arm's tool is at ``X_BT``."""
         return Foreseen(self._motion.prior, self._arm.prior(X_BT))
 
-    def found(self, X_C0C: Array, X_BT: Array | None, camera: CameraCalibration, points: Array) -> None:
-        """The camera was at ``X_C0C`` and saw ``points`` (n, 3), while the tool was at ``X_BT``."""
-        self._motion.found(X_C0C, camera, points)
+    def found(
+        self, X_C0C: Array, X_BT: Array | None, camera: CameraCalibration, points: Array, pixels: Array
+    ) -> None:
+        """The camera was at ``X_C0C`` and its left eye saw ``points`` (n, 3) at ``pixels`` (n, 2), while the
+        tool was at ``X_BT``.
+        """
+        self._motion.found(X_C0C, camera, points, pixels)
         self._arm.found(X_C0C, X_BT)
 
     def lost(self) -> None:

@@ -111,7 +111,8 @@ class StereoOdometry:
             self._lose(pair, outcome)
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
-        self._history.found(outcome.X_C0C, X_BT, self._camera, self._map.points[outcome.ids])
+        points = self._map.points[outcome.ids]
+        self._history.found(outcome.X_C0C, X_BT, self._camera, points, outcome.pixels)
         self._X_C0C = outcome.X_C0C
         self.trust.located()
         self._lost_frames = 0

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.compiled import allocation_free
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes import bundle_adjustment
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, shared
@@ -128,8 +129,12 @@ class KeyframeMap:
 
     def pose_rates(self, ids: Indices, X_CC0: Array) -> Array:
         """How the eyes' views of points ``ids`` move with the camera's [δp; δθ] in C0, px (2, n, 2, 6)."""
-        X_C0C, points = se3.inverse(X_CC0), self.points[ids]
-        return np.stack([_pose_rates(eye, X_C0C, points) for eye in self._eyes])
+        place, points = se3.inverse(X_CC0)[:3, 3], self.points[ids]
+        rates = np.empty((2, len(ids), 2, 6))
+        for eye, its in zip(self._eyes, rates, strict=True):
+            focal = float(eye.K[0, 0]), float(eye.K[1, 1])
+            _fill_pose_rates(se3.inverse(eye.X_CE) @ X_CC0, focal, place, points, its)
+        return rates
 
     def stds(self, ids: Indices) -> Array:
         """Standard deviations (n,) of the inverse depths, 1/m."""
@@ -253,16 +258,25 @@ def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) ->
     return np.asarray(slopes * (eye.K[0, 0], eye.K[1, 1]))
 
 
-def _pose_rates(eye: CameraModel, X_C0C: Array, points: Array) -> Array:
-    """How what ``eye`` of a camera at ``X_C0C`` sees of ``points`` (n, 3) goes by the camera's [δp; δθ], all
-    in C0, px/m and px/rad (n, 2, 6).
+@allocation_free
+def _fill_pose_rates(
+    X_EC0: Array, focal: tuple[float, float], place: Array, points: Array, rates: Array
+) -> None:
+    """Fill ``rates`` (n, 2, 6): how what an eye sees of ``points`` (n, 3) goes by the [δp; δθ] of the camera
+    at ``place`` that carries it, all in C0, px/m and px/rad.
     """
-    X_EC0 = se3.inverse(X_C0C @ eye.X_CE)
-    seen = se3.apply(X_EC0, points)
-    slopes = np.zeros((len(seen), 2, 3))
-    for axis in range(2):
-        slopes[:, axis, axis] = eye.K[axis, axis] / seen[:, 2]
-        slopes[:, axis, 2] = -eye.K[axis, axis] * seen[:, axis] / seen[:, 2] ** 2
-    by_point = slopes @ X_EC0[:3, :3]
-    turned = np.cross(by_point, (points - X_C0C[:3, 3])[:, None, :])  # by · (L × θ) = (by × L) · θ
-    return np.concatenate([-by_point, turned], axis=2)
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = X_EC0[2, 0] * x + X_EC0[2, 1] * y + X_EC0[2, 2] * z + X_EC0[2, 3]
+        lx, ly, lz = x - place[0], y - place[1], z - place[2]
+        for k in range(2):
+            ray = (X_EC0[k, 0] * x + X_EC0[k, 1] * y + X_EC0[k, 2] * z + X_EC0[k, 3]) / depth
+            scale = focal[k] / depth
+            bx = scale * (X_EC0[k, 0] - ray * X_EC0[2, 0])
+            by = scale * (X_EC0[k, 1] - ray * X_EC0[2, 1])
+            bz = scale * (X_EC0[k, 2] - ray * X_EC0[2, 2])
+            rates[n, k, 0], rates[n, k, 1], rates[n, k, 2] = -bx, -by, -bz
+            # b · (L × θ) = (b × L) · θ
+            rates[n, k, 3] = by * lz - bz * ly
+            rates[n, k, 4] = bz * lx - bx * lz
+            rates[n, k, 5] = bx * ly - by * lx
