@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.accumulated_error import AccumulatedError
 from vision_pc.core.odometry.keyframes.keyframe import Indices
 from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
-from vision_pc.core.odometry.pose_spread import EXACT, PoseSpread, pose_spread
+from vision_pc.core.odometry.pose_spread import EXACT, AccumulatedError, PoseSpread, pose_spread
 from vision_pc.core.perception import stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyView, Priors
 from vision_pc.core.se3 import Array

@@ -1,18 +1,29 @@
 """Which motion is believed: depths known badly put all of their points off, a slow thing but some."""
 
+from typing import cast
+
 import numpy as np
 import pytest
 
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
+from vision_pc.core.odometry.frame import Frame
+from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
-from vision_pc.core.odometry.motion_choice import MotionChoice, SeenMotion
+from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice, SeenMotion
 from vision_pc.core.odometry.motion_prior import Foreseen, MotionPrior
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration
 
 ASIDE = se3.transform(np.eye(3), (1.2, 0.0, 0.0))  # ten bases: a tenth of a pixel of disparity is a pixel
 OFF_PX, THEIRS, COUNT = 3.5, 60, 200
+
+
+class Shown:
+    """The ids of points, in place of a keyframe: nothing else of it is asked where motions are foreseen."""
+
+    def __init__(self, ids: np.ndarray) -> None:
+        self.ids = ids
 
 
 @pytest.mark.parametrize(("known_well", "moves"), [(0, False), (20, True)])
@@ -31,7 +42,9 @@ def test_points_that_other_depths_put_right_are_a_second_motion_unless_all_are(
     pixels = intrinsics.project(camera.left, se3.apply(se3.inverse(ASIDE), points))
     pixels[:THEIRS, 0] += OFF_PX
     choice = MotionChoice(camera, config.odometry_of_recordings, known, doubted=False)
-    found = choice.chosen(ids, pixels, ASIDE, Foreseen(MotionPrior(ASIDE, 50.0)))
+    shown = cast("Keyframe", Shown(ids))
+    tracked, foreseen = FoundPoints(shown, shown, pixels), Foreseen(MotionPrior(ASIDE, 50.0))
+    found = choice.chosen(cast("Frame", None), tracked, ASIDE, foreseen)
     if moves:
         assert found == "two_motions"
     else:

@@ -20,7 +20,7 @@ from vision_pc.core.odometry.limits import (
     NOISE_PX,
     ROW_ERROR_PX,
 )
-from vision_pc.core.odometry.motion_choice import MotionChoice
+from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice
 from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.pose_spread import pose_spread
 from vision_pc.core.odometry.tracking import Flags
@@ -100,7 +100,7 @@ class Localiser:
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels, stds = part.only(good), pixels[good], stds[good]
         if len(pixels) >= MINIMUM_INLIERS:
-            chosen = self._choice.chosen(part.ids, pixels, expected, foreseen)
+            chosen = self._choice.chosen(frame, FoundPoints(keyframe, part, pixels), expected, foreseen)
             if isinstance(chosen, str):
                 return chosen
             inliers = chosen.inliers

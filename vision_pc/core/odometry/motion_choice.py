@@ -10,7 +10,9 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes.keyframe import Indices
+from vision_pc.core.odometry import patches, tracking
+from vision_pc.core.odometry.frame import Frame
+from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.limits import RANSAC_PX
 from vision_pc.core.odometry.motion_prior import Foreseen
@@ -19,6 +21,8 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
 
+_UNEXPLAINED = 0.16  # of the picture's parts: more that do not show what they should is a second motion
+_FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
 _STRICT_SHARE = 0.05  # of a second motion: what was outvoted may be the world
 _STRICT = 0.35  # of ``RANSAC_PX``: one pose can hold the world and what is slow for many pictures
 _DEPTHS = 3.0  # standard deviations of a point's depth
@@ -34,6 +38,14 @@ class SeenMotion(NamedTuple):
     X_CC0: Array
     inliers: Flags
     moving: Flags
+
+
+class FoundPoints(NamedTuple):
+    """Points of a ``whole`` keyframe, those of them that were ``found`` (n), and where, px (n, 2)."""
+
+    whole: Keyframe
+    found: Keyframe
+    pixels: Array
 
 
 class MotionChoice:
@@ -55,10 +67,15 @@ class MotionChoice:
         self.mixed_since: int | None = None
         """The keyframe from which on both motions of the last picture were in the map; None: one was seen."""
 
-    def chosen(self, ids: Indices, pixels: Array, expected: Array, foreseen: Foreseen) -> SeenMotion | str:
-        """The motion to believe of those that fit points ``ids`` (n,) at ``pixels`` (n, 2), expected about at
+    def chosen(
+        self, frame: Frame, tracked: FoundPoints, expected: Array, foreseen: Foreseen
+    ) -> SeenMotion | str:
+        """The motion to believe of those that fit what was ``tracked`` into ``frame``, expected about at
         ``expected`` (X_C0C); or the loss's cause: ``two_motions``, with its detail, or ``sudden_motion``.
+
+        A motion that nobody foresaw takes the larger part of the points that should be seen.
         """
+        ids, pixels = tracked.found.ids, tracked.pixels
         points = self._map.points[ids]
         self.mixed_since = None
         strict = self._doubted or (foreseen.arm is not None and self._settings.disparity_std_px > 0.0)
@@ -67,15 +84,42 @@ class MotionChoice:
         forgiving = foreseen.arm is None and not strict
         other = self._second(ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
         if other is None:
-            if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), _GROSS):
-                return "sudden_motion"
-            return SeenMotion(X_CC0, inliers, np.zeros_like(inliers))
+            return self._single(frame, tracked, SeenMotion(X_CC0, inliers, np.zeros_like(inliers)), foreseen)
         X_theirs, theirs = other
         number = foreseen.chosen((X_CC0, X_theirs), points, self._camera)
         self.mixed_since = max(self._map.shown_since(ids[one]) for one in (inliers, theirs))
         if isinstance(number, str):
             return number
         return (SeenMotion(X_CC0, inliers, theirs), SeenMotion(X_theirs, theirs, inliers))[number]
+
+    def _single(
+        self, frame: Frame, tracked: FoundPoints, only: SeenMotion, foreseen: Foreseen
+    ) -> SeenMotion | str:
+        """The ``only`` motion that is seen, or ``sudden_motion`` where it goes against what is known."""
+        X_CC0, ids = only.X_CC0, tracked.found.ids
+        unforeseen = not foreseen.agrees(X_CC0, self._map.points[ids], self._camera)
+        if unforeseen and self._misses(frame, tracked.whole, ids[only.inliers], X_CC0):
+            return "sudden_motion"
+        if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), _GROSS):
+            return "sudden_motion"
+        return only
+
+    def _misses(self, frame: Frame, keyframe: Keyframe, held: Indices, X_CC0: Array) -> bool:
+        """Whether a camera at ``X_CC0``, held by the points ``held`` of ``keyframe``, misses too much of the
+        others: half of all, or all in parts of the picture, where something else may be the world.
+        """
+        eye = self._camera.left
+        views = intrinsics.project(eye, se3.apply(X_CC0, self._map.points[keyframe.ids]))
+        shown = tracking.inside(views, frame.left_static)
+        seen = np.isin(keyframe.ids, held)
+        if int(seen.sum()) < _FEW * int(shown.sum()):
+            return True
+        sought = shown & ~seen
+        X_C0C, missing = se3.inverse(X_CC0), keyframe.only(sought)
+        there, matched, _ = patches.found(missing, frame.pair.left, views[sought], X_C0C, eye, eye)
+        near = np.linalg.norm(there - views[sought], axis=1) < RANSAC_PX
+        seen[sought] = matched & near
+        return tracking.unexplained(views[shown], seen[shown], frame.left_static.shape) > _UNEXPLAINED
 
     def _coarse_pose(
         self, points: Array, pixels: Array, expected: Array, strict: bool

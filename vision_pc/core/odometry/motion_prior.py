@@ -102,6 +102,12 @@ class Foreseen(NamedTuple):
         """Whether anything is."""
         return self.motion is not None or self.arm is not None
 
+    def agrees(self, X_CC0: Array, points: Array, camera: CameraCalibration) -> bool:
+        """Whether ``X_CC0``, which sees ``points`` (n, 3), was foreseen; False where nothing was."""
+        if self.arm is not None:
+            return self.arm.agrees(se3.inverse(X_CC0))
+        return self.motion is not None and self.motion.agrees(X_CC0, points, camera)
+
     def chosen(self, places: Sequence[Array], points: Array, camera: CameraCalibration) -> int | str:
         """Which of two ``places`` (X_CC0) of the camera was foreseen, or the loss's cause where that does not
         tell.

@@ -7,7 +7,6 @@ import numpy as np
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
-from vision_pc.core.odometry.accumulated_error import AccumulatedError
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
@@ -16,6 +15,7 @@ from vision_pc.core.odometry.map_trust import MapTrust
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, History
 from vision_pc.core.odometry.moving_regions import static_pixels
+from vision_pc.core.odometry.pose_spread import AccumulatedError
 from vision_pc.core.odometry.relocalisation import relocalised
 from vision_pc.core.odometry.shared_offset import SharedOffset
 from vision_pc.core.odometry.tracking import Flags, is_noisy, smoothed

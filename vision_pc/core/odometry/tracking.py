@@ -49,6 +49,8 @@ _LEVELS = 4  # [D] of the pyramid
 _BACK_ERROR_PX = 0.5  # [D] forward-backward tracking
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
 _COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+_PARTS = (6, 4)  # columns and rows: a person or a lorry fills some of them
+_PART_VIEWS, _PART_SHARE = 4, 0.3  # a part has so many views at least, and that share of them is seen
 _SAME_LIGHT = 0.02
 _EVENED_PX = 31  # px of a halved picture: twice what flow looks at
 _EVENED_GREY = 40.0  # grey levels rms
@@ -107,6 +109,21 @@ def grid_cells(points: Array, shape: tuple[int, ...]) -> Flags:
         column = np.clip(points[:, 0] * GRID_COLUMNS / shape[1], 0, GRID_COLUMNS - 1).astype(int)
         cells[row, column] = True
     return cells
+
+
+def unexplained(views: Array, seen: Flags, shape: tuple[int, ...]) -> float:
+    """The share of ``views`` (n, 2) px that lie in parts of a picture of ``shape`` where hardly any is
+    ``seen`` (n,): of parts with some views.
+    """
+    columns, rows = _PARTS
+    part = (views[:, 0] * columns / shape[1]).astype(int) + columns * (views[:, 1] * rows / shape[0]).astype(
+        int
+    )
+    count = np.bincount(part, minlength=columns * rows)
+    held = np.bincount(part, weights=seen, minlength=columns * rows)
+    some = count >= _PART_VIEWS
+    missed = some & (held < _PART_SHARE * count)
+    return float(count[missed].sum() / max(count[some].sum(), 1))
 
 
 def alike(image: Image, other: Image) -> Image:
