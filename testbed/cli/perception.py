@@ -86,7 +86,6 @@ def _figures(result: SequenceResult) -> dict[str, object]:
         "maps": len(result.joints),
         "maps_apart": len(result.apart),
         "keyframes": result.keyframes,
-        "readout_share": result.readout_share,
         "offset": None if result.offset is None else result.offset._asdict(),
     }
 
@@ -145,11 +144,6 @@ def _print(result: SequenceResult, spent_ms: float, files: list[Path]) -> None:
         f"{len(result.records)} pairs, {lost}; {result.keyframes} keyframes; {spent_ms:.1f} ms a pair;"
         f" {files[0]} holds {len(result.poses)} poses"
     )
-    if result.readout_share:
-        out.print(
-            f"the shutter rolls: rows are read over {100.0 * result.readout_share:.0f} % of the time between"
-            " pairs; taken out"
-        )
     if result.offset is not None:
         out.print(
             f"all disparities are {result.offset.px:+.2f} px off, known to {result.offset.std_px:.2f} px from"

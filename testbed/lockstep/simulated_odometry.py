@@ -12,6 +12,7 @@ from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Indices
 from vision_pc.core.odometry.keyframes.triangulation import triangulated
+from vision_pc.core.odometry.limits import GRID_COLUMNS, GRID_ROWS, MINIMUM_INLIERS
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.tracking import Flags, inside
 from vision_pc.core.perception import intrinsics, stereo_pose
@@ -107,13 +108,13 @@ class ModelOdometry:
     def _localise(self, shown: Capture, time_ns: int, number: int) -> OdometryPose | None:
         if not self._keyframes:
             points = self._new_keyframe(shown, np.zeros(0, dtype=np.int64))
-            if points < self._settings.minimum_inliers:
+            if points < MINIMUM_INLIERS:
                 self._keyframes.clear()
                 return None
             return self._pose(np.zeros((6, 6)), time_ns, number, points)
         view = self._in_view(shown)
         best = max((view.of_keyframe(ids) for ids in self._keyframes), key=lambda seen: len(seen.ids))
-        if len(best.ids) < self._settings.minimum_inliers:
+        if len(best.ids) < MINIMUM_INLIERS:
             return None
         covariance = self._solve(best)
         if len(best.ids) < self._settings.keyframe_overlap * best.of:
@@ -155,7 +156,7 @@ class ModelOdometry:
         """How many points it holds: those ``held``, and new ones, one at most in a cell of the grid."""
         wanted = self._noise.points - len(held)
         width, height = self._camera.width, self._camera.height
-        rows, columns = self._settings.grid_rows, self._settings.grid_columns
+        rows, columns = GRID_ROWS, GRID_COLUMNS
         cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
         pixels = (cells + self._rng.random(cells.shape)) * (width / columns, height / rows)
         rays = intrinsics.normalised(self._camera.left, pixels)

@@ -146,80 +146,30 @@ class LookSettings(StrictModel):
         return self
 
 
-class ArmMotionSettings(StrictModel):
-    """How far the camera's motion may be from what the controller's state says of the tool's: standard
-    deviations of place and turn, and of the place as a share of the way. ``lever_m``: from tool to camera.
-    """
-
-    place_std_m: float = Field(gt=0.0, le=0.5)
-    way_share: float = Field(ge=0.0, le=0.5)
-    turn_std_rad: float = Field(gt=0.0, le=0.5)
-    lever_m: float = Field(ge=0.0, le=20.0)
-
-
 class OdometrySettings(StrictModel):
     """Stereo odometry against a persistent keyframe map.
 
-    A frame in which ``second_motion_share`` of the points agree on another motion than the rest is lost: what
-    moves cannot be told from the world. 0: not asked. With ``prior_floor_px`` above 0 the motion before
-    tells, as long as it foresees the picture to that and what it failed by of late. ``pictures_a_place``
-    from one place teach depths and scale, 0: all do.
+    Where ``second_motion_share`` of the points agree on another motion than the rest, arm or motion before
+    must tell which is the camera's, or the frame is lost; 0: not asked. What is known of the camera: depths
+    are weighed as if disparities were never better than ``depth_floor_px``; ``disparity_std_px``: of an
+    offset that all disparities share, 0: it is known. ``lever_m``: from the arm's tool to the camera.
     """
 
     features: int = Field(ge=30, le=5000)
-    grid_columns: int = Field(ge=2, le=100)
-    grid_rows: int = Field(ge=2, le=100)
-    quality: float = Field(gt=0.0, lt=1.0)
-    minimum_eigenvalue: float = Field(gt=0.0, le=1.0)
-    window_px: int = Field(ge=7, le=51)
-    halved_window_px: int = Field(ge=5, le=51)
-    pyramid_levels: int = Field(ge=1, le=8)
-    patch_px: int = Field(ge=7, le=61)
-    likeness: float = Field(ge=0.0, lt=1.0)
-    back_error_px: float = Field(gt=0.0, le=5.0)
-    row_error_px: float = Field(gt=0.0, le=20.0)
-    ransac_px: float = Field(gt=0.1, le=20.0)
-    huber_px: float = Field(gt=0.01, le=10.0)
-    minimum_inliers: int = Field(ge=6, le=1000)
-    minimum_coverage: float = Field(ge=0.0, le=1.0)
     second_motion_share: float = Field(ge=0.0, le=0.5)
-    prior_floor_px: float = Field(ge=0.0, le=50.0)
     least_disparity_px: float = Field(gt=0.0, le=20.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
-    depth_told_px: float = Field(ge=0.0, le=2.0)
-    pictures_a_place: int = Field(ge=0, le=10000)
+    disparity_std_px: float = Field(ge=0.0, le=5.0)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
-    adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
     right_every: int = Field(ge=0, le=1000)
-    arm_motion: ArmMotionSettings
-
-    @property
-    def noise_px(self) -> float:
-        """Standard deviation of one tracked coordinate that the robust weights go with."""
-        return self.huber_px / 3.0
-
-    @property
-    def watchful(self) -> bool:
-        """Whether nobody knows what the camera sees, so that motions are foreseen."""
-        return self.prior_floor_px > 0.0
+    lever_m: float = Field(ge=0.0, le=20.0)
 
 
-class RecordedSettings(StrictModel):
-    """What odometry does otherwise in recordings of a camera that nobody here knows.
+class RecordedCameraSettings(StrictModel):
+    """What of a camera that nobody here knows is other than in ``odometry``: how well its pairs fit."""
 
-    After ``restart_after`` pairs lost in a row a new map is begun; every ``rejoin_every`` pairs the old ones
-    are searched. ``disparity_std_px``: of the offset that all disparities share, part of the covariance; of
-    what differs from depth to depth is at least ``depth_told_px``. The floor weighs them.
-    """
-
-    restart_after: int = Field(ge=1, le=1000)
-    rejoin_every: int = Field(ge=1, le=1000)
-    second_motion_share: float = Field(ge=0.0, le=0.5)
-    prior_floor_px: float = Field(ge=0.0, le=50.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
-    depth_told_px: float = Field(ge=0.0, le=2.0)
-    pictures_a_place: int = Field(ge=0, le=10000)
     disparity_std_px: float = Field(ge=0.0, le=5.0)
 
 
@@ -305,7 +255,7 @@ class VisionConfig(StrictModel):
     markers: MarkerSettings
     look: LookSettings
     odometry: OdometrySettings
-    recorded_odometry: RecordedSettings
+    recorded_odometry: RecordedCameraSettings
     link: LinkSettings = LinkSettings()
     motion: MotionSettings = MotionSettings()
     programs: ProgramSettings
@@ -316,6 +266,11 @@ class VisionConfig(StrictModel):
     api: ApiSettings = ApiSettings()
     recording: RecordingSettings = RecordingSettings()
     live: LiveSettings = LiveSettings()
+
+    @property
+    def odometry_of_recordings(self) -> OdometrySettings:
+        """``odometry`` for a recording: with what is known of its camera."""
+        return self.odometry.model_copy(update=self.recorded_odometry.model_dump())
 
     @model_validator(mode="before")
     @classmethod

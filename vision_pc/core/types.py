@@ -200,9 +200,8 @@ class PointPairs(NamedTuple):
 class OdometryPose(NamedTuple):
     """The camera's pose in the first camera frame, from one pair, and how well it is known.
 
-    ``pairs``: the points that hold it and that both eyes see. ``by_offset`` (6,): how it goes by a px of an
-    offset that all disparities share; ``held_by``: by the numbers of the keyframes that first showed the
-    points, how (6×6) it goes with the [δp; δθ] that all points of one have in common.
+    ``covariance`` (6×6): of [δp; δθ] in C0, with the errors of the path so far. ``pairs``: the points that
+    hold it and that both eyes see.
     """
 
     capture_ns: int
@@ -213,8 +212,6 @@ class OdometryPose(NamedTuple):
     coverage: float
     residual_px: float
     pairs: PointPairs | None = None
-    by_offset: Array | None = None
-    held_by: Mapping[int, Array] | None = None
 
 
 class WatchSample(NamedTuple):

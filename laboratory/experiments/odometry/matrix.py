@@ -118,18 +118,14 @@ def _sequence_of(config_dir: Path, task: Task) -> Sequence:
 
 def _follow(config: VisionConfig, made: Sequence, exact: bool) -> tuple[SequenceResult, str]:
     """What the command `longreach odometry` makes of the pairs; or the cause for which it refuses them."""
-    recorded = config.recorded_odometry
-    if exact:  # so told: what `--set vision.recorded_odometry.…` does
-        floor = config.odometry.depth_floor_px
-        known = {"depth_floor_px": floor, "depth_told_px": floor, "disparity_std_px": 0.0}
-        recorded = recorded.model_copy(update=known)
+    settings = config.odometry if exact else config.odometry_of_recordings
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
         _write(path, made.stated)
         try:
             return follow_pairs(
                 lambda: made.pairs,
-                lambda pair: SegmentedOdometry(read_calibration(path, pair), config.odometry, recorded),
+                lambda pair: SegmentedOdometry(read_calibration(path, pair), settings),
                 tool_at=lambda pair: made.arm.get(pair.frame_id),
             ), ""
         except LongreachError as error:

@@ -193,7 +193,9 @@ KINDS: dict[str, SequenceKind] = {
     "left_out_20": SequenceKind("20 pairs missing", left_out=20),
     "rows_0.3": SequenceKind("right picture 0.3 px lower", rows_px=0.3),
     "rows_3": SequenceKind("right picture 3 px lower", rows_px=3.0, refused=True),
-    "rolling": SequenceKind("rolling shutter, 37 ms", _camera(shutter={"kind": "rolling", "mode_hz": 15})),
+    "rolling": SequenceKind(
+        "rolling shutter, 37 ms", _camera(shutter={"kind": "rolling", "mode_hz": 15}), refused=True
+    ),
     "swapped": SequenceKind("eyes swapped", spoil=_swap_eyes, refused=True),
     "another_size": SequenceKind("calibration of another size", another_size=True, refused=True),
 }
@@ -206,7 +208,6 @@ _WITH_ARM = (
     "late_30",
     "late_60",
     "slow_mover",
-    "rolling",
 )
 KINDS |= {
     f"{name}_arm": KINDS[name]._replace(words=f"{KINDS[name].words}; arm's state told", arm=True)

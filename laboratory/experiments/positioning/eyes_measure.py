@@ -27,6 +27,7 @@ from testbed.lockstep.true_view import TrueView
 from testbed.reporting.console import table
 from testbed.scenarios.scenario import Settings
 from vision_pc.core import se3
+from vision_pc.core.odometry.limits import MINIMUM_INLIERS
 from vision_pc.core.se3 import Array
 
 JSON = dict[str, Any]
@@ -77,7 +78,7 @@ def _tracks(notes: Notes, settings: Settings, seed: int) -> JSON:
         "frames_lost": len(frames) - len(held),
         "points": float(np.median([pose.inliers for pose in held])) if held else 0.0,
     }
-    points = max(int(row["points"]), settings.vision.odometry.minimum_inliers)
+    points = max(int(row["points"]), MINIMUM_INLIERS)
     row |= _mean_squares("pixels", [_errors(watch) for watch in notes.watches])
     for name, noise_px, map_px in (("exact", 0.0, 0.0), ("noise", _KNOWN_PX, 0.0), ("map", 0.0, _KNOWN_PX)):
         noise = TrackingNoise(noise_px=noise_px, map_px=map_px, points=points, lost_share=0.0)

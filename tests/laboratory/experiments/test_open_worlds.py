@@ -41,9 +41,7 @@ def known(made: Sequence) -> CameraCalibration:
 
 def followed(made: Sequence, pairs: list[StereoPair]) -> SequenceResult:
     config, camera = load(VisionConfig, CONFIGS / "vision.yaml"), known(made)
-    return follow_pairs(
-        lambda: pairs, lambda _: SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
-    )
+    return follow_pairs(lambda: pairs, lambda _: SegmentedOdometry(camera, config.odometry_of_recordings))
 
 
 def test_a_rectangle_is_where_the_pinhole_has_it() -> None:

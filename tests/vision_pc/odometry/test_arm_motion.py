@@ -26,7 +26,7 @@ def told(X_C0C: Array) -> Array:
 
 
 def prior_at(config: VisionConfig, X_C0C: Array) -> ArmPrior:
-    history = ArmHistory(config.odometry.arm_motion)
+    history = ArmHistory(config.odometry.lever_m)
     history.found(se3.identity(), told(se3.identity()))
     prior = history.prior(told(X_C0C))
     assert prior is not None
@@ -50,7 +50,7 @@ def test_wherever_the_camera_sits_the_arm_foresees_how_far_it_goes(
 
 
 def test_tolerances_are_of_the_configured_size(config: VisionConfig) -> None:
-    limit = 3.0 * config.odometry.arm_motion.place_std_m
+    limit = 3.0 * 0.004  # m
     for share, agrees in ((0.95, True), (1.05, False)):
         X = se3.transform(np.eye(3), (share * limit, 0.0, 0.0))
         assert prior_at(config, se3.identity()).agrees(X) is agrees
@@ -59,7 +59,7 @@ def test_tolerances_are_of_the_configured_size(config: VisionConfig) -> None:
 
 
 def test_without_a_state_nothing_is_foreseen(config: VisionConfig) -> None:
-    history = ArmHistory(config.odometry.arm_motion)
+    history = ArmHistory(config.odometry.lever_m)
     history.found(se3.identity(), None)
     assert history.prior(se3.identity()) is None
     history.found(se3.identity(), se3.identity())
@@ -122,7 +122,7 @@ def test_a_recording_with_an_arm_is_located_once_the_motions_are_apart(config: V
     pairs, places = passing(camera, wall_texture(1, 22.0, 1000), step=0.008)
 
     def begin(_: StereoPair) -> SegmentedOdometry:
-        return SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+        return SegmentedOdometry(camera, config.odometry_of_recordings)
 
     blind = follow_pairs(lambda: pairs, begin)
     assert blind.lost == len(pairs)

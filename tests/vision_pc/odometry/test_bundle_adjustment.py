@@ -97,33 +97,6 @@ def test_points_of_one_distance_do_not_tell_the_offset(
     assert alike.information < 1e-3 * apart.information
 
 
-def test_an_offset_moves_what_is_adjusted_as_foretold(
-    camera: CameraCalibration, generator: np.random.Generator
-) -> None:
-    """Whatever poses and points had gone by it before; but fixed poses and known depths stay there."""
-    px, eyes = 0.02, (camera.left, camera.right)
-    at, _ = problem(camera, generator, 0.0)
-    rays = at.views.rays.copy()
-    rays[at.views.eye == 1, 0] += px / camera.right.K[0, 0]
-    twists = generator.normal(0.0, 0.01, (CAMERAS, 6))
-    before = at.X_CC0.copy()
-    for k in range(CAMERAS):
-        turn = se3.exp_so3(px * twists[k, 3:])
-        before[k] = se3.transform(turn, px * twists[k, :3]) @ at.X_CC0[k]
-    gone = generator.normal(0.0, 0.05, at.points.shape)
-    points = at.points + px * gone
-    inverse = 1.0 / se3.apply(before[0], points)[:, 2]
-    there = Problem(before, FIXED, points, at.views._replace(rays=rays), at.depths._replace(inverse=inverse))
-    found = bundle_adjustment.adjusted(there, eyes, 0.1, 50.0)
-    drifts = bundle_adjustment.Drifts(twists, gone)
-    turned, moved = bundle_adjustment.moved_by_offset(at, eyes, (0.1, 50.0), drifts)
-    X = found.X_CC0[FIXED:] @ np.linalg.inv(before[FIXED:])
-    went = np.array([[*one[:3, 3], *se3.log_so3(one[:3, :3])] for one in X])
-    assert np.abs(went).max() > 1e-4
-    np.testing.assert_allclose(px * turned, went, atol=0.03 * np.abs(went).max())
-    np.testing.assert_allclose(px * moved, found.points - points, atol=0.03 * np.abs(px * moved).max())
-
-
 def test_a_camera_and_a_point_that_no_view_tells_of_stay_where_they_are(
     camera: CameraCalibration, generator: np.random.Generator
 ) -> None:
@@ -185,8 +158,8 @@ def test_a_full_map_of_a_recording_tells_what_its_new_keyframes_err_by(
     camera: CameraCalibration, config: VisionConfig, long_way: list[Array], texture: Array
 ) -> None:
     """Once it ended in a KeyError: a keyframe that took the place of another was not seen to be new."""
-    settings = config.odometry.model_copy(update={"keyframes": 2, "keyframe_overlap": 0.9})
-    odometry = SegmentedOdometry(camera, settings, config.recorded_odometry)
+    settings = config.odometry_of_recordings.model_copy(update={"keyframes": 2, "keyframe_overlap": 0.9})
+    odometry = SegmentedOdometry(camera, settings)
     for k, X in enumerate(long_way[:5]):
         placed = odometry.process(pair_at(camera, texture, X, seed=k))
         assert placed is not None, odometry.last_loss

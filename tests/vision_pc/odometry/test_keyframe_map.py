@@ -42,7 +42,7 @@ def test_the_number_of_a_forgotten_keyframe_is_given_to_no_other(camera: CameraC
     """Back where it began, a full map forgets the newest keyframe: the next one once had its number, and so
     its place in what is told of errors.
     """
-    known = KeyframeMap(camera, 0.2, drifts=True)
+    known = KeyframeMap(camera, 0.2)
     first, _, newest = (grown(known, x) for x in (0.0, 1.0, 2.0))
     known.forget(newest)
     after = grown(known, 0.1)

@@ -9,10 +9,9 @@ from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.frame import Frame
 from vision_pc.core.odometry.keyframes.keyframe import Keyframe
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
 from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice, SeenMotion
 from vision_pc.core.odometry.motion_prior import Foreseen, MotionPrior
-from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration
 
@@ -31,21 +30,21 @@ class Shown:
 def test_points_that_other_depths_put_right_are_a_second_motion_unless_all_are(
     camera: CameraCalibration, config: VisionConfig, known_well: int, moves: bool
 ) -> None:
-    settings = config.odometry.model_copy(update={"prior_floor_px": 3.0, "second_motion_share": 0.15})
-    known = KeyframeMap(camera, 0.2, 0.03)
+    known = KeyframeMap(camera, 0.2)
     x, y = np.random.default_rng(3).uniform((0.4, -0.6), (1.6, 0.6), (COUNT, 2)).T
     points = np.column_stack([x, y, np.full(COUNT, 2.0)])
     ids = known.add_points(se3.identity(), points, 0.1)
     learnt = ids[:known_well]
     for _ in range(9):
         still = np.zeros((2, known_well, 2))
-        known.update(learnt, se3.inverse(ASIDE), still, np.ones((2, known_well)), 0.1)
+        by_depth = known.sensitivity(learnt, se3.inverse(ASIDE))
+        known.update(learnt, HeldViews(still, np.ones((2, known_well)), by_depth), 0.1, still)
     pixels = intrinsics.project(camera.left, se3.apply(se3.inverse(ASIDE), points))
     pixels[:THEIRS, 0] += OFF_PX
-    choice = MotionChoice(camera, settings, known, Readout(camera, learns=False), doubted=False)
+    choice = MotionChoice(camera, config.odometry_of_recordings, known, doubted=False)
     shown = cast("Keyframe", Shown(ids))
-    foreseen = Foreseen(MotionPrior(ASIDE, 50.0, 1.0))
-    found = choice.chosen(cast("Frame", None), FoundPoints(shown, shown, pixels), ASIDE, foreseen)
+    tracked, foreseen = FoundPoints(shown, shown, pixels), Foreseen(MotionPrior(ASIDE, 50.0))
+    found = choice.chosen(cast("Frame", None), tracked, ASIDE, foreseen)
     if moves:
         assert found == "two_motions"
     else:

@@ -80,9 +80,8 @@ def told(camera: CameraCalibration, config: VisionConfig, world: World) -> Told:
     )  # fmt: skip
     nearer = se3.transform(np.eye(3), (0.0, 0.0, 1.0 - 1.0 / world.zoom))
     eye, guess = camera.left, (pixels - MIDDLE) * world.zoom + MIDDLE
-    found, good = patches.found(keyframe, after, guess, nearer, eye, eye, config.odometry)
-    stds = patches.match_stds(keyframe.only(good), after, found[good], nearer, eye, eye)
-    return Told((found - guess - SHIFT * world.zoom)[good], stds)
+    found, good, stds = patches.found(keyframe, after, guess, nearer, eye, eye)
+    return Told((found - guess - SHIFT * world.zoom)[good], stds[good])
 
 
 @pytest.mark.parametrize(
@@ -122,4 +121,5 @@ def test_a_patch_that_shows_nothing_is_told_as_far_off_as_any(
         np.zeros(1, dtype=bool), np.zeros((2, 1)), Templates(flat, pixels, SIDE), one,
     )  # fmt: skip
     eye = camera.left
-    assert patches.match_stds(keyframe, flat, pixels, se3.identity(), eye, eye).tolist() == [3.0]
+    _, good, stds = patches.found(keyframe, flat, pixels, se3.identity(), eye, eye)
+    assert (good.tolist(), stds.tolist()) == ([False], [3.0])

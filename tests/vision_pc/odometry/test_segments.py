@@ -9,11 +9,9 @@ from tests.vision_pc.rendering import wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.odometry.segments import SegmentedOdometry, WayError
+from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
-
-NOTHING = np.zeros((6, 6))
+from vision_pc.core.types import CameraCalibration, StereoPair
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +42,7 @@ def with_mover(
 def test_what_the_motion_before_foresaw_is_believed(
     camera: CameraCalibration, config: VisionConfig, texture: Array, share: float, located: int
 ) -> None:
-    odometry = SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+    odometry = SegmentedOdometry(camera, config.odometry_of_recordings)
     right = 0
     for X, pair in with_mover(camera, texture, share, 8, 5):
         placed = odometry.process(pair)
@@ -60,7 +58,7 @@ def test_what_the_motion_before_foresaw_is_believed(
 def test_after_a_gap_a_new_map_begins_and_is_joined_when_the_old_is_seen_again(
     camera: CameraCalibration, config: VisionConfig, texture: Array
 ) -> None:
-    odometry = SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+    odometry = SegmentedOdometry(camera, config.odometry_of_recordings)
     elsewhere = wall_texture(5, 22.0, 1000)
     dark = np.zeros((720, 1280), np.uint8)
     black = StereoPair(dark, dark, 0, 0)
@@ -103,50 +101,3 @@ def test_a_pair_that_cannot_be_used_is_named_with_its_figure(
     assert odometry.last_loss == cause
     assert odometry.last_detail is not None
     assert figure in odometry.last_detail
-
-
-def pose_at(x: float, covariance: Array, shown_by: list[int], by_offset: Array | None = None) -> OdometryPose:
-    """Each keyframe holds it in all directions by its share of ``shown_by``."""
-    held_by = {number: shown_by.count(number) / len(shown_by) * np.eye(6) for number in shown_by}
-    return OdometryPose(0, 0, at(x), covariance, 10, 1.0, 0.1, None, by_offset, held_by)
-
-
-def test_an_offset_of_all_disparities_bends_the_way_as_it_is_told() -> None:
-    error = WayError(0.2)
-    assert np.abs(error.after(pose_at(0.0, NOTHING, [0], np.zeros(6)), 0)).max() == 0.0
-    by_offset = np.array([0.025, 0.0, 0.0, 0.0, 0.004, 0.0])  # m and rad a px
-    told = error.after(pose_at(1.0, NOTHING, [0], by_offset), None)
-    std = np.sqrt(np.diag(told))
-    assert std[[0, 4]] == pytest.approx([0.005, 0.0008], rel=0.03)
-    assert told[0, 4] == pytest.approx(0.005 * 0.0008, rel=0.01)
-    assert (std[[1, 2]] > 0.0).all()  # what is not linear in the offset goes astray
-    assert (std[[1, 2]] < 0.05 * std[0]).all()
-
-
-def test_a_keyframes_error_goes_on_until_an_older_one_holds_the_pose_again() -> None:
-    """Once it went on for ever: 50 mm were told of a hand that was back where it began, to 3 mm."""
-    error, own = WayError(0.0), np.diag([1e-6] * 6)
-    error.after(pose_at(0.0, NOTHING, [0]), 0)
-    error.after(pose_at(0.0, own, [0]), 1)
-    error.after(pose_at(0.0, own, [1]), 2)
-
-    def held(shown_by: list[int]) -> float:
-        return float(error.after(pose_at(0.0, own, shown_by), None)[0, 0]) - 1e-6
-
-    assert held([1] * 10) >= 1e-6
-    assert np.sqrt(held([2] * 10)) == pytest.approx(2.0 * np.sqrt(held([1] * 10)))
-    assert np.sqrt(held([1] * 5 + [2] * 5)) == pytest.approx(1.5 * np.sqrt(held([1] * 10)))
-    assert held([0] * 10) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_a_keyframe_hands_on_what_its_own_points_hold() -> None:
-    """Its few points were near, those of the first far away: once half of an error was told that was all
-    there (road_open 8801: 75 mm, told 19).
-    """
-    error = WayError(0.0)
-    error.after(pose_at(0.0, NOTHING, [0]), 0)
-    error.after(pose_at(0.0, np.diag([1e-4] * 3 + [1e-6] * 3), [0]), 1)
-    aside = np.diag([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    told = error.after(pose_at(0.0, NOTHING, [0])._replace(held_by={0: np.eye(6) - aside, 1: aside}), None)
-    assert told[0, 0] >= 1e-4
-    assert np.diag(told)[1:] == pytest.approx(0.0, abs=1e-15)

@@ -3,28 +3,30 @@
 import numpy as np
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes.keyframe import TeachingPictures
+from vision_pc.core.odometry.keyframes.keyframe import A_PLACE, TeachingPictures
 from vision_pc.core.se3 import Array
 
 POINTS = np.array([[0.2, 0.1, 1.4], [-0.3, 0.0, 1.5], [0.0, 0.2, 1.6]])
+STAYS = [True] * A_PLACE + [False] * 3
 
 
-def at(x_m: float) -> Array:
-    return se3.inverse(se3.transform(np.eye(3), (x_m, 0.0, 0.0)))
+def at(x_m: float, turn_rad: float = 0.0) -> Array:
+    return se3.inverse(se3.transform(se3.exp_so3([0.0, turn_rad, 0.0]), (x_m, 0.0, 0.0)))
+
+
+def taught(X_CC0: list[Array], keyframes: int = 1, teaching: TeachingPictures | None = None) -> list[bool]:
+    teaching = teaching or TeachingPictures()
+    return [teaching.teaches(X, POINTS, keyframes) for X in X_CC0]
 
 
 def test_the_first_few_of_a_place_teach_though_the_base_rocks() -> None:
-    teaching = TeachingPictures(3)
-    rocking = [at(1e-3 * (-1) ** k) for k in range(6)]
-    assert [teaching.teaches(X, POINTS, 1) for X in rocking] == [True] * 3 + [False] * 3
+    assert taught([at(1e-3 * (-1) ** k) for k in range(len(STAYS))]) == STAYS
 
 
-def test_another_place_and_a_new_keyframe_teach_anew() -> None:
-    teaching = TeachingPictures(1)
-    seen = [(0.0, 1), (0.0, 1), (0.03, 1), (0.03, 1), (0.03, 2), (0.03, 2)]
-    assert [teaching.teaches(at(x), POINTS, made) for x, made in seen] == [True, False] * 3
-
-
-def test_all_teach_where_nothing_is_asked() -> None:
-    teaching = TeachingPictures(0)
-    assert all(teaching.teaches(at(0.0), POINTS, 1) for _ in range(50))
+def test_another_place_and_a_turn_alone_and_a_new_keyframe_teach_anew() -> None:
+    place, aside, turned = at(0.0), at(0.03), at(0.0, 0.02)
+    assert taught([place] * len(STAYS) + [aside] * len(STAYS)) == 2 * STAYS
+    assert taught([place] * len(STAYS) + [turned] * len(STAYS)) == 2 * STAYS
+    teaching = TeachingPictures()
+    assert taught([place] * len(STAYS), 1, teaching) == STAYS
+    assert taught([place] * len(STAYS), 2, teaching) == STAYS

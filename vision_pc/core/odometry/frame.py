@@ -1,11 +1,11 @@
 """One pair in work, and the pose that is found of it."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from vision_pc.core.odometry.keyframes.keyframe import Indices
+from vision_pc.core.odometry.pose_spread import PoseSpread
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image, StereoPair
@@ -27,13 +27,12 @@ class Frame(NamedTuple):
 class PoseEstimate(NamedTuple):
     """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
     and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
-    points that went another way. ``by_offset`` (6,): how the pose goes by a px of the disparities' offset.
+    points that went another way.
     ``match_stds`` (2, n) px of where both eyes see the points, as far as patches tell; 0: not asked.
-    ``held_by``: as of an ``OdometryPose``.
     """
 
     X_C0C: Array
-    covariance: Array
+    spread: PoseSpread
     ids: Indices
     pixels: Array
     right_rays: Array
@@ -41,5 +40,3 @@ class PoseEstimate(NamedTuple):
     residual_px: float
     match_stds: Array
     moving: Array = _NOWHERE
-    by_offset: Array | None = None
-    held_by: Mapping[int, Array] | None = None

@@ -8,14 +8,21 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry import patches, pose_spread, tracking
+from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, TeachingPictures
-from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews, KeyframeMap
 from vision_pc.core.odometry.keyframes.templates import Templates
+from vision_pc.core.odometry.limits import (
+    HUBER_PX,
+    MINIMUM_COVERAGE,
+    MINIMUM_INLIERS,
+    NOISE_PX,
+    ROW_ERROR_PX,
+)
 from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice
 from vision_pc.core.odometry.motion_prior import Foreseen
-from vision_pc.core.odometry.rolling import PointViews, Readout, TakenOut
+from vision_pc.core.odometry.pose_spread import pose_spread
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyPoses, BodyView, Priors
@@ -31,13 +38,15 @@ _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 class _Views(NamedTuple):
     """Where the eyes see points: left ``pixels`` (n, 2), ``rays`` (2, n, 2), which are ``seen`` (2, n), and
-    what their patches tell of that, ``match_stds`` (2, n) px.
+    what their patches tell of that, ``match_stds`` (2, n) px. ``by_depth`` (2, n, 2): how views
+    move with inverse depths, px m.
     """
 
     pixels: Array
     rays: Array
     seen: Array
     match_stds: Array
+    by_depth: Array
 
 
 class Localiser:
@@ -48,37 +57,15 @@ class Localiser:
         camera: CameraCalibration,
         settings: OdometrySettings,
         keyframe_map: KeyframeMap,
-        readout: Readout,
         doubted: bool = False,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._map = keyframe_map
-        self._noise_px = settings.noise_px
+        self._noise_px = NOISE_PX
         self._kept: list[Templates] = []
-        self._readout = readout
-        self._first: TakenOut | None = None
-        self._choice = MotionChoice(camera, settings, keyframe_map, readout, doubted)
-        self._teaching = TeachingPictures(settings.pictures_a_place)
-
-    def begun(self, first: PoseEstimate) -> Array:
-        """The ``first`` keyframe was made: of its motion is known what was taken out of it, if anything. The
-        covariance (6×6) of all that is seen from it that is owed to what is not known of that.
-        """
-        if self._readout.taken_out.twist.any():
-            self._first = self._readout.taken_out
-        if not self._readout.share:
-            return np.zeros((6, 6))
-        X_CC0, points = se3.inverse(first.X_C0C), self._map.points[first.ids]
-        rays = np.stack([intrinsics.normalised(self._camera.left, first.pixels), first.right_rays])
-        seen = np.stack([np.ones(len(points)), first.seen_right.astype(np.float64)])
-        nothing = np.zeros((2, len(points), 2))
-        views = PointViews(se3.apply(X_CC0, points), rays, nothing, seen, nothing)
-        return self._by_readout(first.ids, X_CC0, views, seen)
-
-    def _by_readout(self, ids: Indices, X_CC0: Array, views: PointViews, weights: Array) -> Array:
-        eyes = (self._camera.left, self._camera.right)
-        return self._readout.spread(eyes, views, self._map.pose_rates(ids, X_CC0), weights)
+        self._choice = MotionChoice(camera, settings, keyframe_map, doubted)
+        self._teaching = TeachingPictures()
 
     @property
     def mixed_since(self) -> int | None:
@@ -106,19 +93,20 @@ class Localiser:
         part = keyframe.only(visible)
         self._keep(keyframe.templates)
         before, after = self._halves(keyframe, frame, other_light)
-        coarse = tracking.track_halved(before, after, part.pixels, guess[visible], self._settings)
-        pixels, good = self._find_points(part, frame.pair.left, coarse.points, expected, self._camera.left)
+        coarse = tracking.track_halved(before, after, part.pixels, guess[visible])
+        pixels, good, stds = self._find_points(
+            part, frame.pair.left, coarse.points, expected, self._camera.left
+        )
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
-        part, pixels = part.only(good), pixels[good]
-        if len(pixels) >= self._settings.minimum_inliers:
+        part, pixels, stds = part.only(good), pixels[good], stds[good]
+        if len(pixels) >= MINIMUM_INLIERS:
             chosen = self._choice.chosen(frame, FoundPoints(keyframe, part, pixels), expected, foreseen)
             if isinstance(chosen, str):
                 return chosen
             inliers = chosen.inliers
-            if int(inliers.sum()) >= self._settings.minimum_inliers:
-                part, usual = part.only(inliers), foreseen.motion
-                residual = None if usual is None else usual.residual_px
-                found = self._refined(frame, part, pixels[inliers], chosen.X_CC0, both_eyes, residual)
+            if int(inliers.sum()) >= MINIMUM_INLIERS:
+                left = pixels[inliers], stds[inliers]
+                found = self._refined(frame, part.only(inliers), left, chosen.X_CC0, both_eyes)
                 return found if isinstance(found, str) else found._replace(moving=pixels[chosen.moving])
         return "too_few_points"
 
@@ -127,7 +115,7 @@ class Localiser:
         before, after = keyframe.halved, frame.halved
         if other_light:
             return tracking.evened(before), tracking.evened(after)
-        return (tracking.alike(before, after) if self._settings.watchful else before), after
+        return tracking.alike(before, after), after
 
     def _keep(self, templates: Templates) -> None:
         """Keep these and those of the few keyframes looked for last; the others are forgotten."""
@@ -137,94 +125,60 @@ class Localiser:
         self._kept = self._kept[-_KEPT:]
 
     def _refined(
-        self,
-        frame: Frame,
-        keyframe: Keyframe,
-        pixels: Array,
-        X_CC0: Array,
-        both_eyes: bool,
-        most_px: float | None,
+        self, frame: Frame, keyframe: Keyframe, left: tuple[Array, Array], X_CC0: Array, both_eyes: bool
     ) -> PoseEstimate | str:
-        """The pose from the eyes' residuals, robustly, and its health. A residual above ``most_px`` is that
-        of two motions in one.
+        """The pose from the eyes' residuals, robustly, and its health. ``left``: where that eye sees the
+        points (n, 2), and to what (n,), px.
         """
-        points = self._map.points[keyframe.ids]
-        self._readout.moved(se3.inverse(X_CC0))
-        right = self._expected_right(se3.apply(X_CC0, points))
-        seen_right = np.zeros(len(points), dtype=bool)
+        points, pixels = self._map.points[keyframe.ids], left[0]
+        right = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
+        seen_right, right_stds = np.zeros(len(points), dtype=bool), np.zeros(len(points))
         if both_eyes:
-            right, seen_right = self._seen_right(frame, keyframe, right, X_CC0)
-        rays = self._rays(pixels, right, se3.apply(X_CC0, points))
+            right, seen_right, right_stds = self._seen_right(frame, keyframe, right, X_CC0)
+        rays = np.stack(
+            [
+                intrinsics.normalised(eye, there)
+                for eye, there in ((self._camera.left, pixels), (self._camera.right, right))
+            ]
+        )
         seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
-        stds = self._match_stds(frame, keyframe, (pixels, right), seen_right, X_CC0)
-        weights = seen * self._weights(keyframe.ids, X_CC0, stds)
+        stds = np.stack([left[1], right_stds])
+        by_depth = self._map.sensitivity(keyframe.ids, X_CC0)
+        weights = seen * self._weights(keyframe.ids, by_depth, stds)
         X_CC0 = self._solve(points, rays, weights, X_CC0).X_CA[0]
         errors = self._errors(points, rays, X_CC0)
         size = np.max(np.linalg.norm(errors, axis=2) * seen, axis=0)
-        held = size < 3.0 * max(self._settings.huber_px, float(np.median(size)))
-        cells = tracking.grid_cells(pixels[held], frame.pair.left.shape, self._settings)
-        if int(held.sum()) < self._settings.minimum_inliers:
+        held = size < 3.0 * max(HUBER_PX, float(np.median(size)))
+        cells = tracking.grid_cells(pixels[held], frame.pair.left.shape)
+        if int(held.sum()) < MINIMUM_INLIERS:
             return "too_few_points"
-        if float(cells.mean()) < self._settings.minimum_coverage:
+        if float(cells.mean()) < MINIMUM_COVERAGE:
             return "poor_coverage"
-        left = float(np.sqrt(np.mean(errors[0][held] ** 2)))
-        if most_px is not None and left > most_px:
-            return "two_motions"
-        views = _Views(pixels[held], rays[:, held], seen[:, held], stds[:, held])
+        views = _Views(pixels[held], rays[:, held], seen[:, held], stds[:, held], by_depth[:, held])
         return self._estimate_from(keyframe.only(held), views, X_CC0)
-
-    def _match_stds(
-        self, frame: Frame, keyframe: Keyframe, found: tuple[Array, Array], seen_right: Flags, X_CC0: Array
-    ) -> Array:
-        """What patches tell of where both eyes' pictures show the points ``found`` (n, 2), px (2, n)."""
-        stds = np.zeros((2, len(seen_right)))
-        if self._settings.watchful:
-            left, right = self._camera.left, self._camera.right
-            X_C0C = se3.inverse(X_CC0)
-            stds[0] = patches.match_stds(keyframe, frame.pair.left, found[0], X_C0C, left, left)
-            stds[1, seen_right] = patches.match_stds(
-                keyframe.only(seen_right), frame.pair.right, found[1][seen_right], X_C0C, left, right
-            )
-        return stds
-
-    def _expected_right(self, points_C: Array) -> Array:
-        """Where the right eye's rows show ``points_C`` (n, 3), px (n, 2)."""
-        eye = self._camera.right
-        if not self._readout.share:
-            return intrinsics.project(eye, points_C)
-        in_eye = se3.apply(se3.inverse(eye.X_CE), points_C)
-        rays = self._readout.bent(eye, in_eye[:, :2] / in_eye[:, 2:], points_C)
-        return np.where(in_eye[:, 2:] > 0.0, intrinsics.distorted(eye, rays), np.nan)
-
-    def _rays(self, left: Array, right: Array, points_C: Array) -> Array:
-        """The rays (2, n, 2) of pixels (n, 2) in both eyes, as if all rows were read at once."""
-        return np.stack(
-            [
-                self._readout.straight(eye, intrinsics.normalised(eye, pixels), points_C)
-                for eye, pixels in ((self._camera.left, left), (self._camera.right, right))
-            ]
-        )
 
     def _seen_right(
         self, frame: Frame, keyframe: Keyframe, guess: Array, X_CC0: Array
-    ) -> tuple[Array, Flags]:
-        """Where the right eye sees the keyframe's points, px (n, 2), expected at ``guess``; and which."""
+    ) -> tuple[Array, Flags, Array]:
+        """Where the right eye sees the keyframe's points, px (n, 2), expected at ``guess``; which are
+        believed, and to what (n,), px.
+        """
         usable = tracking.inside(guess, frame.right_static)
-        right, matched = self._find_points(
+        right, matched, stds = self._find_points(
             keyframe,
             frame.pair.right,
             np.where(usable[:, None], guess, 0.0),
             se3.inverse(X_CC0),
             self._camera.right,
         )
-        on_row = np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px
-        return right, usable & matched & on_row
+        on_row = np.abs(right[:, 1] - guess[:, 1]) < ROW_ERROR_PX
+        return right, usable & matched & on_row, stds
 
     def _estimate_from(self, keyframe: Keyframe, found: "_Views", X_CC0: Array) -> PoseEstimate:
         """The pose from the points that held; they learn from it, unless pictures from there have taught."""
         ids, rays, seen = keyframe.ids, found.rays, found.seen
         trust = seen * self._noise_px / np.hypot(self._noise_px, found.match_stds)
-        weights = seen * self._weights(ids, X_CC0, found.match_stds)
+        weights = seen * self._weights(ids, found.by_depth, found.match_stds)
         teaches = self._teaching.teaches(X_CC0, self._map.points[ids], self._map.next_number)
         solution = self._solve(self._map.points[ids], rays, weights, X_CC0, teaches)
         X_CC0 = solution.X_CA[0]
@@ -232,51 +186,30 @@ class Localiser:
             self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
-        views = PointViews(
-            se3.apply(X_CC0, self._map.points[ids]), rays, errors, seen, self._map.sensitivity(ids, X_CC0)
-        )
-        self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
-        covariance = SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
-        held_by = None
-        if self._settings.watchful:
-            covariance = pose_spread.covariance(self._map, ids, X_CC0, errors, weights, self._noise_px)
-            held_by = pose_spread.held_by(self._map, ids, X_CC0, weights)
-        drift = self._map.drift(ids, X_CC0, weights)
+        views = HeldViews(errors, weights, found.by_depth)
+        spread = pose_spread(self._map, ids, X_CC0, views, self._noise_px)
         if teaches:
-            self._map.update(ids, X_CC0, errors, trust**2, self._noise_px, drift)
+            trusted = views._replace(weights=trust**2)
+            self._map.update(ids, trusted, self._noise_px, spread.views_by_offset)
         usual = float(np.sqrt(((errors * trust[:, :, None]) ** 2).sum() / (2.0 * seen.sum())))
         self._noise_px = max(usual, _LEAST_NOISE_PX)
-        if self._readout.share:
-            covariance = covariance + self._by_readout(ids, X_CC0, views, weights)
         return PoseEstimate(
             se3.inverse(X_CC0),
-            covariance,
+            spread,
             ids,
             found.pixels,
             rays[1],
             seen[1] > 0.0,
             residual,
             found.match_stds,
-            by_offset=None if drift is None else drift.pose,
-            held_by=held_by,
         )
 
-    def _weights(self, ids: Indices, X_CC0: Array, match_stds: Array) -> Array:
+    def _weights(self, ids: Indices, by_depth: Array, match_stds: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view, or the parts
         of a patch do not agree on it.
         """
-        moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
+        moved = np.linalg.norm(by_depth, axis=2) * self._map.stds(ids)
         return np.asarray(self._noise_px / np.hypot(self._noise_px, np.hypot(moved, match_stds)))
-
-    def _learn_readout(self, keyframe: Keyframe, views: PointViews, noise_px: float) -> None:
-        """Of the first keyframe's points alone: later ones have been shown by several pictures."""
-        if keyframe.number:
-            return
-        if self._first is None:  # the first picture moved as it did until the second one
-            self._first = self._readout.taken_out._replace(share=0.0)
-            return
-        eyes = (self._camera.left, self._camera.right)
-        self._readout.learn(eyes, views, self._first, noise_px)
 
     def _solve(
         self, points: Array, rays: Array, weights: Array, X_CC0: Array, scales: bool = True
@@ -299,5 +232,5 @@ class Localiser:
 
     def _find_points(
         self, keyframe: Keyframe, image: Image, guess: Array, X_C0C: Array, eye: CameraModel
-    ) -> tuple[Array, Flags]:
-        return patches.found(keyframe, image, guess, X_C0C, self._camera.left, eye, self._settings)
+    ) -> tuple[Array, Flags, Array]:
+        return patches.found(keyframe, image, guess, X_C0C, self._camera.left, eye)

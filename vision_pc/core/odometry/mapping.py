@@ -11,8 +11,9 @@ from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.keyframes.triangulation import triangulated
+from vision_pc.core.odometry.limits import MINIMUM_INLIERS, NOISE_PX, PATCH_PX, ROW_ERROR_PX
 from vision_pc.core.odometry.moving_regions import without
-from vision_pc.core.odometry.rolling import Readout
+from vision_pc.core.odometry.pose_spread import EXACT
 from vision_pc.core.odometry.shared_offset import SharedOffset
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
@@ -20,23 +21,23 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, Image
 
 _MOST = 0.8
-_WINDOW_PX = 31  # wider than odometry's own: nothing is known of where to look
+_WINDOW_PX, _LEVELS = 31, 6  # wider than odometry's own: nothing is known of where to look
+_ADJUSTED = 5  # [D] the newest keyframes, adjusted with their points
 
 
 def fault(frame: Frame, settings: OdometrySettings) -> str:
     """``bad_rectification: …``, ``swapped_eyes: …`` with what was found, else ``no_texture``."""
     left, right = frame.pair.left, frame.pair.right
-    pixels = tracking.features(left, frame.left_static, np.zeros((0, 2)), settings)
-    if len(pixels) < settings.minimum_inliers:
+    pixels = tracking.features(left, frame.left_static, np.zeros((0, 2)), settings.features)
+    if len(pixels) < MINIMUM_INLIERS:
         return "no_texture"
-    wide = settings.model_copy(update={"window_px": _WINDOW_PX, "pyramid_levels": 6})
-    found = tracking.track(left, right, pixels, pixels.copy(), wide)
-    if int(found.good.sum()) < settings.minimum_inliers:
+    found = tracking.track(left, right, pixels, pixels.copy(), _WINDOW_PX, _LEVELS)
+    if int(found.good.sum()) < MINIMUM_INLIERS:
         return "no_texture"
     moved: Array = found.points[found.good] - pixels[found.good]
     rows, columns = np.median(moved, axis=0)[::-1]
     spread = 1.4826 * float(np.median(np.abs(moved[:, 1] - rows)))
-    if abs(rows) > max(settings.row_error_px, spread):  # matches in noise spread wider than they are off
+    if abs(rows) > max(ROW_ERROR_PX, spread):  # matches in noise spread wider than they are off
         return (
             f"bad_rectification: right rows {rows:+.1f} px off, spread {spread:.1f} px, {len(moved)} points"
         )
@@ -59,13 +60,11 @@ class Mapper:
         camera: CameraCalibration,
         settings: OdometrySettings,
         keyframe_map: KeyframeMap,
-        readout: Readout,
         offset: SharedOffset,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._map = keyframe_map
-        self._readout = readout
         self._offset = offset
 
     def begin(self, frame: Frame, X_C0C: Array) -> PoseEstimate | str:
@@ -73,12 +72,12 @@ class Mapper:
         ``bad_rectification``, ``swapped_eyes``; the last two with their figure behind a colon.
         """
         points_C, pixels, right_rays, stds = self._new_points(frame, np.zeros((0, 2)))
-        if len(pixels) < self._settings.minimum_inliers:
+        if len(pixels) < MINIMUM_INLIERS:
             return fault(frame, self._settings)
-        ids = self._map.add_points(X_C0C, points_C, np.hypot(self._settings.noise_px, stds[1]))
+        ids = self._map.add_points(X_C0C, points_C, np.hypot(NOISE_PX, stds[1]))
         self._map.initialise_scale(ids)
         estimate = PoseEstimate(
-            X_C0C, np.zeros((6, 6)), ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0, stds
+            X_C0C, EXACT, ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0, stds
         )
         self._add_keyframe(frame, estimate)
         return estimate
@@ -96,9 +95,9 @@ class Mapper:
         ids = self._map.add_points(
             estimate.X_C0C,
             points_C,
-            np.hypot(self._settings.noise_px, stds[1]),
-            estimate.by_offset,
+            np.hypot(NOISE_PX, stds[1]),
             estimate.residual_px,
+            estimate.spread.by_offset,
         )
         grown = estimate._replace(
             ids=np.concatenate([estimate.ids, ids]),
@@ -108,17 +107,13 @@ class Mapper:
             match_stds=np.hstack([estimate.match_stds, stds]),
         )
         self._add_keyframe(frame, grown)
-        if self._settings.adjusted_keyframes:
-            self._map.adjust(
-                self._settings.adjusted_keyframes, self._settings.noise_px, self._settings.huber_px
-            )
-        self._offset.learn(self._map, self._settings)
+        self._map.adjust(_ADJUSTED)
+        self._offset.learn(self._map)
         return estimate._replace(X_C0C=self._map.keyframes[-1].X_C0C)
 
     def _add_keyframe(self, frame: Frame, estimate: PoseEstimate) -> None:
         points_C = se3.apply(se3.inverse(estimate.X_C0C), self._map.points[estimate.ids])
         rays = intrinsics.normalised(self._camera.left, estimate.pixels)
-        rays = self._readout.straight(self._camera.left, rays, points_C)
         left = frame.pair.left.copy()
         self._map.keyframes.append(
             Keyframe(
@@ -139,16 +134,16 @@ class Mapper:
         )
 
     def _templates(self, image: Image, pixels: Array) -> Templates:
-        return Templates(image, pixels, 2 * (self._settings.patch_px // 2) + 1)
+        return Templates(image, pixels, PATCH_PX)
 
     def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array, Array, Array]:
         """New points (m, 3) in C, their left pixels (m, 2), right rays (m, 2) and what their patches tell of
         both (2, m), px, where the picture holds none of ``taken`` (n, 2).
         """
         left, right = frame.pair.left, frame.pair.right
-        pixels = tracking.features(left, frame.left_static, taken, self._settings)
+        pixels = tracking.features(left, frame.left_static, taken, self._settings.features)
         guess = pixels - np.column_stack([self._coarse_disparity(left, right, pixels), np.zeros(len(pixels))])
-        coarse = tracking.track(left, right, pixels, guess, self._settings)
+        coarse = tracking.track(left, right, pixels, guess)
         points_C, good = self._triangulated(frame, pixels, coarse.points)
         good &= coarse.good
         pixels, points_C, found = pixels[good], points_C[good], coarse.points[good]
@@ -168,25 +163,14 @@ class Mapper:
             self._templates(left, pixels),
             np.arange(len(rays)),
         )
-        found, matched = patches.found(
-            patch, right, found, se3.identity(), self._camera.left, self._camera.right, self._settings
+        found, matched, found_stds = patches.found(
+            patch, right, found, se3.identity(), self._camera.left, self._camera.right
         )
         points_C, good = self._triangulated(frame, pixels, found)
         good &= matched
-        stds = self._match_stds(patch.only(good), right, found[good])
-        points_C, seen = points_C[good], intrinsics.normalised(self._camera.right, found)[good]
-        rays = self._readout.straight(self._camera.left, points_C[:, :2] / points_C[:, 2:], points_C)
-        right_rays = self._readout.straight(self._camera.right, seen, points_C)
-        points_C = points_C[:, 2:] * np.column_stack([rays, np.ones(len(rays))])
-        return points_C, pixels[good], right_rays, stds
-
-    def _match_stds(self, keyframe: Keyframe, right: Image, found: Array) -> Array:
-        """Of new points (2, m), px: the left eye shows what is sought."""
-        stds = np.zeros((2, len(found)))
-        if self._settings.watchful:
-            eyes = (self._camera.left, self._camera.right)
-            stds[1] = patches.match_stds(keyframe, right, found, se3.identity(), *eyes)
-        return stds
+        stds = np.stack([np.zeros(int(good.sum())), found_stds[good]])  # the left eye shows what is sought
+        right_rays = intrinsics.normalised(self._camera.right, found)[good]
+        return points_C[good], pixels[good], right_rays, stds
 
     def _triangulated(self, frame: Frame, left: Array, right: Array) -> tuple[Array, Flags]:
         """Points (n, 3) in C of matched pixels (n, 2) of both eyes, and which of them make sense (n,)."""
@@ -199,7 +183,7 @@ class Mapper:
         row_error = np.nan_to_num(
             right[:, 1] - intrinsics.project(self._camera.right, points_C)[:, 1], nan=np.inf
         )
-        on_row = np.abs(row_error) < self._settings.row_error_px
+        on_row = np.abs(row_error) < ROW_ERROR_PX
         return points_C, sensible & on_row & tracking.inside(right, frame.right_static)
 
     def _coarse_disparity(self, left: Image, right: Image, pixels: Array) -> Array:

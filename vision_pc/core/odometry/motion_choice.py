@@ -14,8 +14,8 @@ from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.frame import Frame
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.limits import RANSAC_PX
 from vision_pc.core.odometry.motion_prior import Foreseen
-from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -24,7 +24,7 @@ from vision_pc.core.types import CameraCalibration
 _UNEXPLAINED = 0.16  # of the picture's parts: more that do not show what they should is a second motion
 _FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
 _STRICT_SHARE = 0.05  # of a second motion: what was outvoted may be the world
-_STRICT = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
+_STRICT = 0.35  # of ``RANSAC_PX``: one pose can hold the world and what is slow for many pictures
 _DEPTHS = 3.0  # standard deviations of a point's depth
 _BY_DEPTH = 0.9  # of a second motion's points: such depths put all of them off, a slow thing but some
 _SECOND_POINTS = 12  # at least, of a second motion
@@ -58,13 +58,11 @@ class MotionChoice:
         camera: CameraCalibration,
         settings: OdometrySettings,
         keyframe_map: KeyframeMap,
-        readout: Readout,
         doubted: bool,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._map = keyframe_map
-        self._readout = readout
         self._doubted = doubted
         self.mixed_since: int | None = None
         """The keyframe from which on both motions of the last picture were in the map; None: one was seen."""
@@ -80,13 +78,8 @@ class MotionChoice:
         ids, pixels = tracked.found.ids, tracked.pixels
         points = self._map.points[ids]
         self.mixed_since = None
-        strict = self._doubted or (
-            self._settings.watchful and foreseen.arm is not None and self._readout.is_global
-        )
+        strict = self._doubted or (foreseen.arm is not None and self._settings.disparity_std_px > 0.0)
         X_CC0, inliers = self._coarse_pose(points, pixels, expected, strict)
-        if self._readout.share and inliers.any():  # how it moved is known about now
-            self._readout.moved(se3.inverse(X_CC0))
-            X_CC0, inliers = self._coarse_pose(points, pixels, se3.inverse(X_CC0), strict)
         # An arm tells which of two motions is the camera's: with one, none is to be missed.
         forgiving = foreseen.arm is None and not strict
         other = self._second(ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
@@ -104,12 +97,10 @@ class MotionChoice:
     ) -> SeenMotion | str:
         """The ``only`` motion that is seen, or ``sudden_motion`` where it goes against what is known."""
         X_CC0, ids = only.X_CC0, tracked.found.ids
-        watchful = self._settings.watchful
-        unforeseen = watchful and not foreseen.agrees(X_CC0, self._map.points[ids], self._camera)
+        unforeseen = not foreseen.agrees(X_CC0, self._map.points[ids], self._camera)
         if unforeseen and self._misses(frame, tracked.whole, ids[only.inliers], X_CC0):
             return "sudden_motion"
-        most = 1.0 if watchful else _GROSS
-        if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), most):
+        if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), _GROSS):
             return "sudden_motion"
         return only
 
@@ -125,10 +116,8 @@ class MotionChoice:
             return True
         sought = shown & ~seen
         X_C0C, missing = se3.inverse(X_CC0), keyframe.only(sought)
-        there, matched = patches.found(
-            missing, frame.pair.left, views[sought], X_C0C, eye, eye, self._settings
-        )
-        near = np.linalg.norm(there - views[sought], axis=1) < self._settings.ransac_px
+        there, matched, _ = patches.found(missing, frame.pair.left, views[sought], X_C0C, eye, eye)
+        near = np.linalg.norm(there - views[sought], axis=1) < RANSAC_PX
         seen[sought] = matched & near
         return tracking.unexplained(views[shown], seen[shown], frame.left_static.shape) > _UNEXPLAINED
 
@@ -136,10 +125,9 @@ class MotionChoice:
         self, points: Array, pixels: Array, expected: Array, strict: bool
     ) -> tuple[Array, Flags]:
         """X_CC0 from the left eye alone by RANSAC, and the points that agree with it; ``strict``: closely."""
-        most_px = self._settings.ransac_px * (_STRICT if strict else 1.0)
+        most_px = RANSAC_PX * (_STRICT if strict else 1.0)
         X_CC0 = se3.inverse(expected)
         rays = intrinsics.normalised(self._camera.left, pixels)
-        rays = self._readout.straight(self._camera.left, rays, se3.apply(X_CC0, points))
         found, rotation, position, inliers = cv2.solvePnPRansac(
             points,
             rays,
@@ -185,10 +173,7 @@ class MotionChoice:
         """
         X_CC0, inliers = first
         share = _STRICT_SHARE if strict else self._settings.second_motion_share
-        least = max(
-            _SECOND_POINTS if self._settings.watchful else self._settings.minimum_inliers,
-            int(share * len(ids)),
-        )
+        least = max(_SECOND_POINTS, int(share * len(ids)))
         rest = np.flatnonzero(~inliers)
         if share == 0.0 or len(rest) < least:
             return None
@@ -207,7 +192,7 @@ class MotionChoice:
         and no other motion.
         """
         missed = pixels - intrinsics.project(self._camera.left, se3.apply(X_CC0, self._map.points[ids]))
-        by_depth = self._map.sensitivity(ids, X_CC0)[0] * self._map.told_stds(ids)[:, None]
+        by_depth = self._map.sensitivity(ids, X_CC0)[0] * self._map.reported_stds(ids)[:, None]
         steps = (missed * by_depth).sum(axis=1) / np.maximum((by_depth**2).sum(axis=1), 1e-12)
         left = missed - np.clip(steps, -_DEPTHS, _DEPTHS)[:, None] * by_depth
-        return np.asarray(np.linalg.norm(left, axis=1) < self._settings.ransac_px)
+        return np.asarray(np.linalg.norm(left, axis=1) < RANSAC_PX)

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from foundation.compiled import allocation_free
-from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes import patch_parts
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.keyframes.patch_parts import MOST_PX, match_std
 from vision_pc.core.odometry.keyframes.templates import FLAT, Patches, is_inside
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
@@ -25,6 +24,7 @@ from vision_pc.core.types import CameraModel, Image
 
 Whole = NDArray[np.int32]
 
+_LEAST_LIKENESS = 0.3  # [M] normalised cross-correlation of a match: 0.44 is what heavy noise leaves
 _STEPS = 20
 _CONVERGED = 0.002  # px
 _WANDERED = 4.0  # px from the guess, after which it is another patch
@@ -86,36 +86,34 @@ def found(
     X_C0C: Array,
     keyframe_eye: CameraModel,
     eye: CameraModel,
-    settings: OdometrySettings,
-) -> tuple[Array, Flags]:
-    """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), and which are
-    believed.
+) -> tuple[Array, Flags, Array]:
+    """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), which are believed,
+    and the standard deviations (n,), px of one coordinate, that the parts of their patches tell.
 
     ``image`` is what it sees, ``guess`` (n, 2) px within about two pixels. Believed: converged near the
-    guess, with the configured normalised cross-correlation.
+    guess, with enough normalised cross-correlation.
     """
     X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
     warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
     sought = keyframe.templates.patches()
-    ends, likeness = guess.copy(), np.empty(len(guess))
-    _match(sought, keyframe.rows, image, ends, likeness, warps, _room(sought.side))
-    return ends, likeness >= settings.likeness
+    found = _Matches(guess.copy(), np.full(len(guess), -1.0), np.full(len(guess), MOST_PX))
+    _match(sought, keyframe.rows, image, found, warps, _room(sought.side))
+    return found.ends, found.likeness >= _LEAST_LIKENESS, found.stds
 
 
-def match_stds(
-    keyframe: Keyframe, image: Image, pixels: Array, X_C0C: Array, keyframe_eye: CameraModel, eye: CameraModel
-) -> Array:
-    """The standard deviations (n,) px, of one coordinate, of where the keyframe's points were found: at
-    ``pixels`` (n, 2) of ``image``, by ``eye`` of a camera at ``X_C0C``.
+class _Matches(NamedTuple):
+    """Of patches (n,): ``ends`` (n, 2) px from the guesses to the matches, ``likeness`` (n,), -1: none, and
+    ``stds`` (n,) px of one coordinate.
     """
-    X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
-    warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
-    return patch_parts.match_stds(keyframe, image, pixels, warps)
+
+    ends: Array
+    likeness: Array
+    stds: Array
 
 
 class _Room(NamedTuple):
     """Where each pixel of a patch is sought: column and row of the pixel above and left of it, and the rest;
-    what the picture shows there, four grey levels in a word.
+    what the picture shows there, four grey levels in a word, and as ``seen`` between them.
     """
 
     column: Whole
@@ -123,29 +121,27 @@ class _Room(NamedTuple):
     words: Whole
     right: Array
     down: Array
+    seen: Array
 
 
 def _room(side: int) -> _Room:
     column, row, words = np.empty((3, side * side), dtype=np.int32)
-    right, down = np.empty((2, side * side))
-    return _Room(column, row, words, right, down)
+    right, down, seen = np.empty((3, side * side))
+    return _Room(column, row, words, right, down, seen)
 
 
 @allocation_free(nogil=True)
-def _match(
-    sought: Patches, rows: Indices, image: Image, ends: Array, likeness: Array, warps: Array, room: _Room
-) -> None:
-    """Move ``ends`` (n, 2) from the guesses to the matches, and fill ``likeness`` (n,); -1: none."""
+def _match(sought: Patches, rows: Indices, image: Image, found: _Matches, warps: Array, room: _Room) -> None:
+    """Fill ``found``, which begins with the guesses."""
     half = sought.side // 2
     for n in range(len(rows)):
         patterns, products = sought.patterns[rows[n]], sought.products[rows[n]]
         hxx, hxy, hyy = products[0], products[1], products[2]
         determinant = hxx * hyy - hxy * hxy
-        likeness[n] = -1.0
         if not determinant >= 1e-12:
             continue
         a, b, c, d = warps[n, 0, 0], warps[n, 0, 1], warps[n, 1, 0], warps[n, 1, 1]
-        first_x, first_y = ends[n, 0], ends[n, 1]
+        first_x, first_y = found.ends[n, 0], found.ends[n, 1]
         x, y = first_x, first_y
         for _ in range(_STEPS):
             if not is_inside(image, x, y, (a, b, c, d), half):
@@ -158,8 +154,11 @@ def _match(
             if not math.hypot(x - first_x, y - first_y) < _WANDERED:
                 break
             if math.hypot(u, v) < _CONVERGED:
-                ends[n, 0], ends[n, 1] = x, y
-                likeness[n] = alike
+                found.ends[n, 0], found.ends[n, 1] = x, y
+                found.likeness[n] = alike
+                if alike >= _LEAST_LIKENESS:
+                    _unpack(room.words, room.right, room.down, room.seen)
+                    found.stds[n] = match_std(room.seen, patterns, products, (a, b, c, d), sought.side)
                 break
 
 
@@ -218,3 +217,15 @@ def _project_rows(words: Whole, right: Array, down: Array, patterns: Array) -> t
     if norm < FLAT:
         return 0.0, 0.0, -2.0
     return along_x / norm, along_y / norm, alike / norm
+
+
+@allocation_free(fastmath={"contract", "reassoc"})
+def _unpack(words: Whole, right: Array, down: Array, seen: Array) -> None:
+    """Fill ``seen`` with the grey levels that ``_compare`` looked at last."""
+    byte = np.int32(255)
+    for k in range(words.shape[0]):
+        word = words[k]
+        upper, lower = float(word & byte), float((word >> np.int32(16)) & byte)
+        upper += right[k] * (float((word >> np.int32(8)) & byte) - upper)
+        lower += right[k] * (float((word >> np.int32(24)) & byte) - lower)
+        seen[k] = upper + down[k] * (lower - upper)

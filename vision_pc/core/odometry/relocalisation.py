@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Keyframe
+from vision_pc.core.odometry.limits import MINIMUM_INLIERS
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -18,9 +18,7 @@ _FEWEST = 12
 _RANSAC_PX = 4.0
 
 
-def relocalised(
-    image: Image, static: Flags, keyframe: Keyframe, camera: CameraCalibration, settings: OdometrySettings
-) -> Array | None:
+def relocalised(image: Image, static: Flags, keyframe: Keyframe, camera: CameraCalibration) -> Array | None:
     """X_C0C, to a few pixels, of the left ``image`` if it shows what ``keyframe`` shows; None if it does not.
 
     ``static`` (height, width): False where the picture shows what moves with the camera.
@@ -50,7 +48,7 @@ def relocalised(
         confidence=0.999,
         flags=cv2.SOLVEPNP_EPNP,
     )
-    if not found or inliers is None or len(inliers) < max(_FEWEST, settings.minimum_inliers // 2):
+    if not found or inliers is None or len(inliers) < max(_FEWEST, MINIMUM_INLIERS // 2):
         return None
     return se3.inverse(se3.transform(se3.exp_so3(rotation.ravel()), position.ravel()))
 

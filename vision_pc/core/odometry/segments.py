@@ -1,76 +1,17 @@
 """Odometry of a whole recording: new maps after losses, joined when an old one is seen again."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from vision_pc.config.vision import OdometrySettings, RecordedSettings
+from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.triangulation import triangulated
-from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import FoundOffset, SharedOffset
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
-
-_NOTHING = np.zeros((6, 6))
-_ASTRAY = 0.004  # [E] of what an offset does to a pose, in every direction: depths are not linear in it
-
-
-class _Keyframe(NamedTuple):
-    """Where a keyframe is, and the ``root`` (6×6) of that place's covariance without what an offset does: of
-    errors that all keyframes before it made alike.
-    """
-
-    place: Array
-    root: Array
-
-
-class WayError:
-    """Adds up what odometry gets wrong along its way: each keyframe's error goes on into what is seen from
-    it, until what was there before holds the pose again; and an offset of all disparities,
-    ``disparity_std_px``, bends the way. ``begins`` (6×6): of the map's first pair.
-
-    Errors of keyframes add up as if all went the same way. On a road one after the other turns to the same
-    side by a ten-thousandth: the same houses are beside it, and each is matched as the one before.
-    """
-
-    def __init__(self, disparity_std_px: float, begins: Array = _NOTHING) -> None:
-        self._std_px = disparity_std_px
-        self._keyframes: dict[int, _Keyframe] = {0: _Keyframe(np.zeros(3), _root(begins))}
-
-    def after(self, pose: OdometryPose, made: int | None) -> Array:
-        """The covariance (6×6) of ``pose`` in its C0; ``made``: the number of the keyframe that it became."""
-        place = pose.X_C0C[:3, 3]
-        held = self._root_held(pose.held_by or {0: np.eye(6)}, place)
-        total = pose.covariance + held @ held.T
-        if made is not None:
-            self._keyframes[made] = _Keyframe(place, held + _root(pose.covariance))
-        by_offset = np.zeros(6) if pose.by_offset is None else pose.by_offset
-        bent = np.outer(by_offset, by_offset)
-        bent[:3, :3] += _ASTRAY**2 * (by_offset[:3] @ by_offset[:3]) * np.eye(3)
-        bent[3:, 3:] += _ASTRAY**2 * (by_offset[3:] @ by_offset[3:]) * np.eye(3)
-        return np.asarray(total + self._std_px**2 * bent)
-
-    def _root_held(self, held_by: Mapping[int, Array], place: Array) -> Array:
-        """The root (6×6) of the covariance, at ``place``, of what keyframes got wrong and hand on: each what
-        of it its points hold.
-        """
-        total = np.zeros((6, 6))
-        for number, share in held_by.items():
-            before, lever = self._keyframes[number], np.eye(6)
-            lever[:3, 3:] = -se3.hat(place - before.place)
-            total += share @ lever @ before.root
-        return total
-
-
-def _root(covariance: Array) -> Array:
-    """The symmetric root (6×6) of a covariance: roots of like ones have like directions, and add up."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
 
 _FEWEST = 25
 _ROUNDS = 5
@@ -102,8 +43,9 @@ def straightened(camera: CameraCalibration, seen: PointPairs) -> CameraCalibrati
     return lowered._replace(right=lowered.right._replace(X_CE=turned))
 
 
-_OTHERWISE = ("second_motion_share", "prior_floor_px", "depth_floor_px", "depth_told_px", "pictures_a_place")
-_PATIENCE = 20  # pairs: two motions that differ by millimetres a picture are centimetres apart then
+_RESTART_AFTER = 3  # [D] pairs lost in a row, then a new map
+_PATIENCE = 20  # [D] the same where two motions differ by millimetres a picture: centimetres then
+_REJOIN_EVERY = 2  # [D] pairs between two searches of the maps before
 
 
 class PlacedPose(NamedTuple):
@@ -114,20 +56,16 @@ class PlacedPose(NamedTuple):
 
 
 class SegmentedOdometry:
-    """``StereoOdometry`` that begins a new map when it was lost for ``restart_after`` pairs in a row.
+    """``StereoOdometry`` that begins a new map when it was lost for some pairs in a row.
 
     ``joints[k]`` is the pose of map k's C0 in the first map's, None as long as nothing that both show was
-    seen: between them is a gap of unknown length. ``readout``: of the camera's shutter, if it rolls.
+    seen: between them is a gap of unknown length.
     """
 
-    def __init__(
-        self, camera: CameraCalibration, settings: OdometrySettings, recorded: RecordedSettings
-    ) -> None:
+    def __init__(self, camera: CameraCalibration, settings: OdometrySettings) -> None:
         self._camera = camera
-        self._settings = settings.model_copy(update={name: getattr(recorded, name) for name in _OTHERWISE})
-        self._recorded = recorded
-        self.readout = Readout(camera, learns=True)
-        self.offset = SharedOffset(learns=recorded.disparity_std_px > 0.0)
+        self._settings = settings
+        self.offset = SharedOffset(learns=settings.disparity_std_px > 0.0)
         self._begin_anew()
         self._current = 0
         self._straight = False
@@ -137,20 +75,19 @@ class SegmentedOdometry:
 
     def _begin_anew(self) -> None:
         """An empty first map, of the camera as it is believed now."""
-        self._maps = [StereoOdometry(self._camera, self._settings, readout=self.readout, offset=self.offset)]
-        self._errors = [WayError(self._recorded.disparity_std_px)]
+        self._maps = [StereoOdometry(self._camera, self._settings, offset=self.offset)]
 
     def correct(self, offset: FoundOffset) -> None:
         """Before the first pair: take out the ``offset`` that an earlier pass over the pairs found."""
         self._camera = intrinsics.with_offset(self._camera, offset.px, 0.0)
-        self._recorded = self._recorded.model_copy(update={"disparity_std_px": offset.std_px})
+        self._settings = self._settings.model_copy(update={"disparity_std_px": offset.std_px})
         self.offset = SharedOffset(learns=False)
         self._begin_anew()
 
     @property
     def offset_found(self) -> FoundOffset | None:
         """The disparities' offset and its standard deviation, px, where the recording shows it."""
-        return self.offset.found(self._recorded.disparity_std_px)
+        return self.offset.found(self._settings.disparity_std_px)
 
     @property
     def keyframes(self) -> int:
@@ -161,8 +98,7 @@ class SegmentedOdometry:
         """Whether a pose of map ``segment`` is not to be believed after all: two motions were seen in it that
         nothing tells apart, or not yet then; or, after that happened, the sequence ended too soon.
         """
-        one = self._maps[segment]
-        return one.doubtful or capture_ns in one.withdrawn_ns
+        return not self._maps[segment].trust.believes(capture_ns)
 
     @property
     def last_loss(self) -> str | None:
@@ -183,7 +119,7 @@ class SegmentedOdometry:
         pose = self._follow(self._current, pair)
         if pose is None:
             self._lost += 1
-            patience = _PATIENCE if self._maps[self._current].undecided else self._recorded.restart_after
+            patience = _PATIENCE if self._maps[self._current].is_undecided else _RESTART_AFTER
             if self._lost < patience or not self._maps[self._current].keyframes:
                 return None
             return self._returned(pair) or self._begin_map(pair)
@@ -198,25 +134,16 @@ class SegmentedOdometry:
         self._camera, self._straight = straightened(self._camera, seen), True
         self._begin_anew()
         pose = self._follow(0, pair)
-        if pose is None:
-            return None
-        self._errors[0] = WayError(self._recorded.disparity_std_px, self._maps[0].begins)
-        return PlacedPose(0, pose)
+        return None if pose is None else PlacedPose(0, pose)
 
     def _follow(self, k: int, pair: StereoPair) -> OdometryPose | None:
         """The pose in map ``k``."""
-        if self._maps[k].mixed:
-            return None
-        before = self._maps[k].newest
-        pose = self._maps[k].process(pair, X_BT=self._X_BT)
-        if pose is None:
-            return None
-        made = self._maps[k].newest if self._maps[k].newest > before else None  # a full map forgets another
-        return pose._replace(covariance=self._errors[k].after(pose, made))
+        one = self._maps[k]
+        return None if one.trust.ambiguous else one.process(pair, X_BT=self._X_BT)
 
     def _older(self) -> list[int]:
         """The maps before the current one that may be believed, the newest first."""
-        return [k for k in range(self._current - 1, -1, -1) if not self._maps[k].mixed]
+        return [k for k in range(self._current - 1, -1, -1) if not self._maps[k].trust.ambiguous]
 
     def _returned(self, pair: StereoPair) -> PlacedPose | None:
         """The pose in an older map that ``pair`` shows; nothing is then known of the map that was lost."""
@@ -229,16 +156,12 @@ class SegmentedOdometry:
 
     def _begin_map(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
-        doubted = any(one.mixed for one in self._maps)
-        fresh = StereoOdometry(
-            self._camera, self._settings, readout=self.readout, offset=self.offset, doubted=doubted
-        )
+        doubted = any(one.trust.ambiguous for one in self._maps)
+        fresh = StereoOdometry(self._camera, self._settings, offset=self.offset, doubted=doubted)
         pose = fresh.process(pair, X_BT=self._X_BT)
         if pose is None:
             return None
         self._maps.append(fresh)
-        self._errors.append(WayError(self._recorded.disparity_std_px, fresh.begins))
-        self._errors[-1].after(pose, 0)
         self.joints.append(None)
         self._current = len(self._maps) - 1
         self._lost = self._since_search = 0
@@ -249,7 +172,7 @@ class SegmentedOdometry:
         if self.joints[self._current] is not None:
             return None
         self._since_search += 1
-        if self._since_search < self._recorded.rejoin_every:
+        if self._since_search < _REJOIN_EVERY:
             return None
         self._since_search = 0
         for k in self._older():

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision_pc.config.vision import OdometrySettings
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 
 _WINDOW = 4  # keyframes that are adjusted together
@@ -38,12 +37,12 @@ class SharedOffset:
         self._learns = learns
         self._windows: list[FoundOffset] = []
 
-    def learn(self, keyframe_map: KeyframeMap, settings: OdometrySettings) -> None:
+    def learn(self, keyframe_map: KeyframeMap) -> None:
         """A keyframe was made: learn from the newest ones."""
         keyframes = keyframe_map.keyframes
         if not self._learns or len(keyframes) < _WINDOW or keyframes[-1].number % _EVERY:
             return
-        told = keyframe_map.offset_told(_WINDOW, settings.noise_px, settings.huber_px)
+        told = keyframe_map.offset_told(_WINDOW)
         if told.information > 0.0:
             self._windows.append(FoundOffset(told.score / told.information, told.information**-0.5))
 

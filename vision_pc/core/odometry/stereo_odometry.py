@@ -1,5 +1,7 @@
 """The camera's path in a static world, from stereo pairs against a persistent map of keyframes."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
@@ -9,13 +11,14 @@ from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.localisation import Localiser
+from vision_pc.core.odometry.map_trust import MapTrust
 from vision_pc.core.odometry.mapping import Mapper
-from vision_pc.core.odometry.motion_prior import UNDECIDED, ArmHistory, Foreseen, MotionHistory
+from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, History
 from vision_pc.core.odometry.moving_regions import static_pixels
+from vision_pc.core.odometry.pose_spread import AccumulatedError
 from vision_pc.core.odometry.relocalisation import relocalised
-from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import SharedOffset
-from vision_pc.core.odometry.tracking import is_noisy, smoothed
+from vision_pc.core.odometry.tracking import Flags, is_noisy, smoothed
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
@@ -24,7 +27,14 @@ _TRIES = 3  # keyframes to try before a frame is lost
 _TOOL_MOVED = 2e-3  # m or rad
 _DARK = 8.0  # mean grey level below which the light is too poor
 _DARK_STEP = 8  # px between the pixels that are asked
-_PROBATION = 20  # pairs: what stands in view from a map's beginning has shown by then that it moves
+
+
+class _Mask(NamedTuple):
+    """Where each eye may see the static world (height, width), for a tool marker at ``X_CM``; None: none."""
+
+    left: Flags
+    right: Flags
+    X_CM: Array | None = None
 
 
 class StereoOdometry:
@@ -32,9 +42,8 @@ class StereoOdometry:
 
     ``camera`` should have the right eye's offset put in (``intrinsics.with_offset``): a disparity error
     bends and scales the path. What moves with the camera is left out by ``tool`` and the tool marker's
-    pose, once one was given. ``readout``: of a camera whose shutter may roll; ``offset``: of eyes whose
-    columns may be off. ``doubted``: something was seen to move before, and nothing told which of it the
-    world is.
+    pose, once one was given. ``offset`` learns how far the eyes' columns are off. ``doubted``: something was
+    seen to move before, and nothing told which of it the world is.
     """
 
     def __init__(
@@ -42,41 +51,26 @@ class StereoOdometry:
         camera: CameraCalibration,
         settings: OdometrySettings,
         tool: ToolMarkerSettings | None = None,
-        readout: Readout | None = None,
         doubted: bool = False,
         offset: SharedOffset | None = None,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._tool = tool
-        self._map = KeyframeMap(
-            camera, settings.depth_floor_px, settings.depth_told_px, drifts=settings.watchful
-        )
-        self._readout = readout or Readout(camera, learns=False)
-        self._localiser = Localiser(camera, settings, self._map, self._readout, doubted)
-        self._mapper = Mapper(
-            camera, settings, self._map, self._readout, offset or SharedOffset(learns=False)
-        )
+        self._map = KeyframeMap(camera, settings.depth_floor_px)
+        self._localiser = Localiser(camera, settings, self._map, doubted)
+        self._mapper = Mapper(camera, settings, self._map, offset or SharedOffset(learns=False))
+        self._error = AccumulatedError(settings.disparity_std_px)
+        self._history = History(settings.lever_m)
         self._X_C0C = se3.identity()
         self._motion = se3.identity()
         everything = np.ones((camera.height, camera.width), dtype=bool)
-        self._static = (everything, everything)
-        self._masked_for: Array | None = None
+        self._static = _Mask(everything, everything)
         self._smooths = self._other_light = False  # pictures are noisy; lit otherwise than keyframes were
         self._lost_frames = self._frames = 0
-        self._history = MotionHistory(settings.prior_floor_px)
-        self._arm = ArmHistory(settings.arm_motion)
-        self._doubted = doubted
-        self._located = 0
+        self.trust = MapTrust(doubted)
         self.last_loss: str | None = None
         self.last_detail: str | None = None
-        self._alone: list[tuple[int, int]] = []
-        self.withdrawn_ns: set[int] = set()
-        """Captures whose poses may be of neither of two motions: those were seen to be two only later."""
-        self.begins = np.zeros((6, 6))
-        """The covariance, of all that is seen from it, that the first picture's own motion leaves."""
-        self.mixed = False
-        """Its points went two ways before anything foresaw which is the world's: none can be believed."""
 
     @property
     def keyframes(self) -> int:
@@ -84,19 +78,9 @@ class StereoOdometry:
         return len(self._map.keyframes)
 
     @property
-    def newest(self) -> int:
-        """The number of the newest keyframe."""
-        return self._map.next_number - 1
-
-    @property
-    def undecided(self) -> bool:
+    def is_undecided(self) -> bool:
         """Whether the last pair was lost because two motions have not gone far enough apart yet."""
         return self.last_loss is not None and f"{self.last_loss}: {self.last_detail}" == UNDECIDED
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether its poses cannot be believed yet: what moved before may be all that it sees."""
-        return self.mixed or (self._doubted and self._located < _PROBATION)
 
     def process(
         self, pair: StereoPair, X_CM: Array | None = None, X_BT: Array | None = None
@@ -110,55 +94,57 @@ class StereoOdometry:
         figure of the last two.
         """
         if X_CM is not None and self._tool is not None and self._has_moved(X_CM):
-            self._static = static_pixels(X_CM, self._tool, self._camera)
-            self._masked_for = X_CM
+            self._static = _Mask(*static_pixels(X_CM, self._tool, self._camera), X_CM)
         if not self._map.keyframes:
             self._smooths = is_noisy(pair.left)  # once for the whole map: patches are compared across frames
         used = smoothed(pair) if self._smooths else pair
-        frame = Frame(used, tracking.halved(used.left), *self._static)
-        foreseen = Foreseen(self._history.prior, self._arm.prior(X_BT))
-        known = self._map.keyframes and not self._lost_frames
-        self._readout.foresee(pair.frame_id, self._X_C0C if known else None, self._motion)
-        outcome = self._localise(frame, foreseen) if self._map.keyframes else self._initialise(frame)
-        if isinstance(outcome, PoseEstimate) and len(outcome.moving) and self.doubtful and X_BT is None:
-            outcome = "two_motions"
+        frame = Frame(used, tracking.halved(used.left), self._static.left, self._static.right)
+        next_keyframe = self._map.next_number
+        outcome = (
+            self._localise(frame, self._history.foreseen(X_BT))
+            if self._map.keyframes
+            else self._mapper.begin(frame, self._X_C0C)
+        )
         self._frames += 1
-        if X_BT is not None:
-            self._reconsider(pair, outcome)
+        outcome = self._judged(pair, outcome, X_BT is not None)
         if isinstance(outcome, str):
-            from_the_start = self._on_probation or self._localiser.mixed_since == 0
-            self.mixed |= outcome == "two_motions" and from_the_start and X_BT is None
             self._lose(pair, outcome)
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
-        self._history.found(outcome.X_C0C, self._camera, self._map.points[outcome.ids], outcome.residual_px)
-        self._arm.found(outcome.X_C0C, X_BT)
+        points = self._map.points[outcome.ids]
+        self._history.found(outcome.X_C0C, X_BT, self._camera, points, outcome.pixels)
         self._X_C0C = outcome.X_C0C
-        self._located += 1
+        self.trust.located()
         self._lost_frames = 0
         self.last_loss = self.last_detail = None
-        return self._pose_of(pair, outcome)
+        made = next_keyframe if self._map.next_number > next_keyframe else None
+        return self._pose_of(pair, outcome, self._error.after(outcome.X_C0C, outcome.spread, made))
 
-    def _pose_of(self, pair: StereoPair, found: PoseEstimate) -> OdometryPose:
-        """What is told of ``pair``, located as ``found``."""
-        cells = tracking.grid_cells(found.pixels, pair.left.shape, self._settings)
+    def _judged(self, pair: StereoPair, outcome: PoseEstimate | str, arm_known: bool) -> PoseEstimate | str:
+        """``outcome``, or ``two_motions`` where what moved may be all that the map shows."""
+        if arm_known:
+            located, since = isinstance(outcome, PoseEstimate), self._localiser.mixed_since
+            self.trust.checked(pair.capture_ns, self._map.next_number, since, located)
+            return outcome
+        if isinstance(outcome, PoseEstimate) and len(outcome.moving) and self.trust.is_doubtful:
+            outcome = "two_motions"
+        if outcome == "two_motions":
+            self.trust.unresolved()
+        return outcome
+
+    def _pose_of(self, pair: StereoPair, found: PoseEstimate, covariance: Array) -> OdometryPose:
+        """What is reported of ``pair``, located as ``found``."""
+        cells = tracking.grid_cells(found.pixels, pair.left.shape)
         return OdometryPose(
             pair.capture_ns,
             pair.frame_id,
             found.X_C0C,
-            found.covariance,
+            covariance,
             len(found.ids),
             float(cells.mean()),
             found.residual_px,
             self._pairs(found),
-            found.by_offset,
-            found.held_by,
         )
-
-    @property
-    def _on_probation(self) -> bool:
-        """Whether two motions that nothing tells apart may have been in the map from its beginning."""
-        return self._settings.watchful and (self._doubted or self._located < _PROBATION)
 
     def _lose(self, pair: StereoPair, why: str) -> None:
         """Keep in mind that ``pair`` could not be used."""
@@ -169,17 +155,6 @@ class StereoOdometry:
         self._lost_frames += 1
         self._history.lost()
 
-    def _reconsider(self, pair: StereoPair, outcome: PoseEstimate | str) -> None:
-        """Two motions seen now may have passed for one while both were in the map: no pose from then on is
-        to be believed but those found with both known.
-        """
-        since = self._localiser.mixed_since
-        if since is not None:
-            self.withdrawn_ns |= {time_ns for time_ns, newest in self._alone if newest > since}
-            self._alone = [one for one in self._alone if one[1] <= since]
-        elif isinstance(outcome, PoseEstimate) and self._located:  # a map's first pose is right
-            self._alone.append((pair.capture_ns, self._map.next_number))
-
     def _pairs(self, found: PoseEstimate) -> PointPairs:
         """The points of ``found`` that both eyes see."""
         both = found.seen_right
@@ -188,16 +163,8 @@ class StereoOdometry:
 
     def _has_moved(self, X_CM: Array) -> bool:
         """Whether the tool is elsewhere in the picture than where it was last left out."""
-        return self._masked_for is None or bool(
-            np.linalg.norm(se3.local(self._masked_for, X_CM)) > _TOOL_MOVED
-        )
-
-    def _initialise(self, frame: Frame) -> PoseEstimate | str:
-        """The first pair's pose, the identity, with a first keyframe."""
-        first = self._mapper.begin(frame, self._X_C0C)
-        if isinstance(first, PoseEstimate):
-            self.begins = self._localiser.begun(first)
-        return first
+        before = self._static.X_CM
+        return before is None or bool(np.linalg.norm(se3.local(before, X_CM)) > _TOOL_MOVED)
 
     def _localise(self, frame: Frame, foreseen: Foreseen) -> PoseEstimate | str:
         """The pose against the most similar keyframes: from the expected motion on, from none, in another
@@ -238,7 +205,7 @@ class StereoOdometry:
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
         ]  # a different one each time
-        found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
+        found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera)
         if found is None:
             return otherwise
         outcome = self._localiser.localise(frame, keyframe, found, both_eyes=True, foreseen=foreseen)

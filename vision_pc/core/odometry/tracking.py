@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.config.vision import OdometrySettings
+from vision_pc.core.odometry.limits import GRID_COLUMNS, GRID_ROWS
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image, StereoPair
 
@@ -41,6 +41,12 @@ def _curvature(image: cv2.typing.MatLike) -> float:
 Flags = NDArray[np.bool_]
 
 _BLOCK = 7  # px: neighbourhood whose gradients make a feature good
+_QUALITY = 0.01  # [D] relative to the best feature of the picture
+_LEAST_EIGENVALUE = 1e-5  # [M] absolute floor; a smoothed wall at a fifth of the contrast has 4e-5
+_WINDOW_PX = 21  # [D] of Lucas-Kanade, for new points
+_HALVED_WINDOW_PX = 15  # [M] the same for known points, in pictures of half the size
+_LEVELS = 4  # [D] of the pyramid
+_BACK_ERROR_PX = 0.5  # [D] forward-backward tracking
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
 _COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 _PARTS = (6, 4)  # columns and rows: a person or a lorry fills some of them
@@ -59,8 +65,9 @@ class TrackedPoints(NamedTuple):
     good: Flags
 
 
-def features(image: Image, allowed: Flags, taken: Array, settings: OdometrySettings) -> Array:
-    """New features (n, 2) px, at most one in each grid cell that holds none of ``taken`` (m, 2).
+def features(image: Image, allowed: Flags, taken: Array, most: int) -> Array:
+    """New features (n, 2) px, at most one in each grid cell that holds none of ``taken`` (m, 2);
+    ``most`` with those.
 
     ``allowed`` (height, width): False where nothing may be picked up. A feature's structure tensor must
     have a least eigenvalue above an absolute floor (noise on a blank wall has none) and above a share of
@@ -74,13 +81,13 @@ def features(image: Image, allowed: Flags, taken: Array, settings: OdometrySetti
         0.0,
         0.0,
     )
-    floor = max(settings.minimum_eigenvalue, settings.quality * float(response.max()))
-    rows = np.linspace(0, image.shape[0], settings.grid_rows + 1).astype(int)
-    columns = np.linspace(0, image.shape[1], settings.grid_columns + 1).astype(int)
-    occupied = grid_cells(taken, image.shape, settings)
+    floor = max(_LEAST_EIGENVALUE, _QUALITY * float(response.max()))
+    rows = np.linspace(0, image.shape[0], GRID_ROWS + 1).astype(int)
+    columns = np.linspace(0, image.shape[1], GRID_COLUMNS + 1).astype(int)
+    occupied = grid_cells(taken, image.shape)
     found = []
-    for i in range(settings.grid_rows):
-        for j in range(settings.grid_columns):
+    for i in range(GRID_ROWS):
+        for j in range(GRID_COLUMNS):
             if occupied[i, j]:
                 continue
             cell = response[rows[i] : rows[i + 1], columns[j] : columns[j + 1]]
@@ -88,20 +95,18 @@ def features(image: Image, allowed: Flags, taken: Array, settings: OdometrySetti
             if best >= floor:
                 found.append((best, columns[j] + x, rows[i] + y))
     found.sort(reverse=True)
-    room = max(settings.features - len(taken), 0)
+    room = max(most - len(taken), 0)
     return np.array([(x, y) for _, x, y in found[:room]], dtype=np.float64).reshape(-1, 2)
 
 
-def grid_cells(points: Array, shape: tuple[int, ...], settings: OdometrySettings) -> Flags:
-    """Which cells (grid_rows, grid_columns) of a picture of ``shape`` hold at least one of ``points`` (n,
+def grid_cells(points: Array, shape: tuple[int, ...]) -> Flags:
+    """Which cells (rows, columns) of a picture of ``shape`` hold at least one of ``points`` (n,
     2).
     """
-    cells = np.zeros((settings.grid_rows, settings.grid_columns), dtype=bool)
+    cells = np.zeros((GRID_ROWS, GRID_COLUMNS), dtype=bool)
     if len(points):
-        row = np.clip(points[:, 1] * settings.grid_rows / shape[0], 0, settings.grid_rows - 1).astype(int)
-        column = np.clip(
-            points[:, 0] * settings.grid_columns / shape[1], 0, settings.grid_columns - 1
-        ).astype(int)
+        row = np.clip(points[:, 1] * GRID_ROWS / shape[0], 0, GRID_ROWS - 1).astype(int)
+        column = np.clip(points[:, 0] * GRID_COLUMNS / shape[1], 0, GRID_COLUMNS - 1).astype(int)
         cells[row, column] = True
     return cells
 
@@ -125,7 +130,7 @@ def alike(image: Image, other: Image) -> Image:
     """``image`` as bright as ``other`` is: exposures differ from picture to picture, and flow is followed by
     grey levels.
     """
-    gain = (float(other.mean()) + 1.0) / (float(image.mean()) + 1.0)
+    gain = (cv2.mean(other)[0] + 1.0) / (cv2.mean(image)[0] + 1.0)
     if abs(gain - 1.0) < _SAME_LIGHT:
         return image
     return np.asarray(cv2.convertScaleAbs(image, alpha=gain), dtype=np.uint8)
@@ -159,7 +164,12 @@ def inside(pixels: Array, static: Flags) -> Flags:
 
 
 def track(
-    before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings
+    before: Image,
+    after: Image,
+    points: Array,
+    guess: Array,
+    window_px: int = _WINDOW_PX,
+    levels: int = _LEVELS,
 ) -> TrackedPoints:
     """``points`` (n, 2) of ``before`` found in ``after``, starting at ``guess`` (n, 2).
 
@@ -167,14 +177,13 @@ def track(
     """
     if len(points) == 0:
         return TrackedPoints(np.zeros((0, 2)), np.zeros(0, dtype=bool))
-    start, window = _as_flow(points), settings.window_px
-    levels = settings.pyramid_levels
-    there, found = _flow(before, after, start, _as_flow(guess), window, levels, _STEPS)
-    back, returned = _flow(after, before, there, start.copy(), window, levels, _STEPS)
+    start = _as_flow(points)
+    there, found = _flow(before, after, start, _as_flow(guess), window_px, levels, _STEPS)
+    back, returned = _flow(after, before, there, start.copy(), window_px, levels, _STEPS)
     error = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
     return TrackedPoints(
         there.reshape(-1, 2).astype(np.float64),
-        found & _within(there, after) & returned & (error < settings.back_error_px),
+        found & _within(there, after) & returned & (error < _BACK_ERROR_PX),
     )
 
 
@@ -187,9 +196,7 @@ def halved(image: Image) -> Image:
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def track_halved(
-    before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings
-) -> TrackedPoints:
+def track_halved(before: Image, after: Image, points: Array, guess: Array) -> TrackedPoints:
     """``points`` (n, 2) px of a whole picture found in another to within about a pixel, from both ``halved``.
 
     Starts at ``guess`` (n, 2) px of the whole picture. One way only: for who matches patches afterwards.
@@ -198,8 +205,7 @@ def track_halved(
         return TrackedPoints(np.zeros((0, 2)), np.zeros(0, dtype=bool))
     # a pixel's middle is at whole numbers: that of four pixels lies half a pixel from their first
     start, there = _as_flow(0.5 * points - 0.25), _as_flow(0.5 * guess - 0.25)
-    window, levels = settings.halved_window_px, settings.pyramid_levels
-    there, found = _flow(before, after, start, there, window, levels, _COARSE_STEPS)
+    there, found = _flow(before, after, start, there, _HALVED_WINDOW_PX, _LEVELS, _COARSE_STEPS)
     return TrackedPoints(2.0 * there.reshape(-1, 2).astype(np.float64) + 0.5, found & _within(there, after))
 
 

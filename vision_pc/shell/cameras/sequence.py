@@ -2,14 +2,13 @@
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from protocol.errors import ConfigurationError, MeasurementFailed
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry.rolling import PictureMotion, PlacedPicture, motions
 from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.odometry.shared_offset import FoundOffset
 from vision_pc.core.se3 import Array
@@ -18,7 +17,6 @@ from vision_pc.shell.cameras.directory import read_grey
 from vision_pc.shell.cameras.sequence_calibration import recorded_camera
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
-_SAME_SHARE = 0.02  # of a readout, that two passes over the same pairs find
 _NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
 
 
@@ -41,14 +39,12 @@ class PairRecord(NamedTuple):
 class SequenceResult(NamedTuple):
     """What became of a sequence, pair by pair; ``joints[k]``: map k's C0 in the first's, None: unknown.
 
-    ``readout_share``: of the interval between pairs, where the camera's shutter rolls. ``offset``: of the
-    right eye's columns, where the way showed it and it was taken out.
+    ``offset``: of the right eye's columns, where the way showed it and it was taken out.
     """
 
     records: list[PairRecord]
     joints: list[Array | None]
     keyframes: int
-    readout_share: float = 0.0
     offset: FoundOffset | None = None
 
     @property
@@ -135,7 +131,7 @@ def follow(
     known = recorded_camera(recorded.calibration, next(recorded.pairs()))
     result = follow_pairs(
         lambda: map(known.rectified, recorded.pairs()),
-        lambda pair: SegmentedOdometry(known.camera, config.odometry, config.recorded_odometry),
+        lambda pair: SegmentedOdometry(known.camera, config.odometry_of_recordings),
         report,
         recorded.tool_at,
     )
@@ -156,70 +152,28 @@ def follow_pairs(
     tool_at: ToolAt = lambda pair: None,
 ) -> SequenceResult:
     """What odometry, begun with the first of ``pairs``, finds in all of them; poses that later pairs show to
-    be of two motions are lost after all. Where the shutter turns out to roll, disparities turn out to be off,
-    or an arm is there to ask, all pairs are followed again.
+    be of two motions are lost after all. Where disparities turn out to be off, all pairs are followed again.
     ``tool_at``: X_BT, where the state of the arm that carries the camera had its tool; None: not told.
     """
-    given = _Given(tool_at)
-    result, learnt = _one_pass(pairs(), begin, _Learnt(), report, given)
-    if not learnt.any and not given.any:
-        return result
-    result, again = _one_pass(pairs(), begin, learnt, report, given)
-    if again.differs_from(learnt):
-        return _one_pass(pairs(), begin, again, report, given)[0]
-    return result
-
-
-class _Learnt(NamedTuple):
-    """What a pass over the pairs shows of the camera, None: nothing was asked; the share is 0 of a global
-    shutter. ``motions``: of the camera about the pictures, by their numbers.
-    """
-
-    readout_share: float | None = None
-    offset: FoundOffset | None = None
-    motions: Mapping[int, PictureMotion] = {}
-
-    @property
-    def any(self) -> bool:
-        """Whether it is worth to follow all pairs again."""
-        return bool(self.readout_share) or self.offset is not None
-
-    def differs_from(self, before: "_Learnt") -> bool:
-        """Whether it shows a shutter that rolls otherwise than an earlier pass had it, or more motions."""
-        share, then = self.readout_share or 0.0, before.readout_share or 0.0
-        return share > 0.0 and (abs(share - then) > _SAME_SHARE or len(self.motions) > len(before.motions))
-
-
-class _Given:
-    """Where the tool was, and whether that was told of any pair."""
-
-    def __init__(self, tool_at: ToolAt) -> None:
-        self._tool_at = tool_at
-        self.any = False
-
-    def __call__(self, pair: StereoPair) -> Array | None:
-        X_BT = self._tool_at(pair)
-        self.any |= X_BT is not None
-        return X_BT
+    result, offset = _one_pass(pairs(), begin, None, report, tool_at)
+    return result if offset is None else _one_pass(pairs(), begin, offset, report, tool_at)[0]
 
 
 def _one_pass(
     pairs: Iterable[StereoPair],
     begin: Callable[[StereoPair], SegmentedOdometry],
-    known: _Learnt,
+    known: FoundOffset | None,
     report: Callable[[PairRecord], None],
     tool_at: ToolAt,
-) -> tuple[SequenceResult, _Learnt]:
-    """What is found with what is ``known`` of the camera, and what was learnt of it."""
+) -> tuple[SequenceResult, FoundOffset | None]:
+    """What is found with the offset ``known``, and the offset that was learnt."""
     records: list[PairRecord] = []
     odometry: SegmentedOdometry | None = None
     for pair in pairs:
         if odometry is None:
             odometry = begin(pair)
-            if known.offset is not None:
-                odometry.correct(known.offset)
-            if known.readout_share is not None:
-                odometry.readout.begin(known.readout_share, known.motions)
+            if known is not None:
+                odometry.correct(known)
         placed = odometry.process(pair, tool_at(pair))
         segment, pose = (None, None) if placed is None else placed
         loss = odometry.last_loss if pose is None else None
@@ -227,23 +181,14 @@ def _one_pass(
         records.append(PairRecord(pair.frame_id, pair.capture_ns, segment, pose, loss, detail))
         report(records[-1])
     if odometry is None:
-        return SequenceResult([], [], 0), known
-    moved = motions(
-        [
-            PlacedPicture(record.frame_id, record.capture_ns, record.segment, record.pose.X_C0C)
-            for record in records
-            if record.pose is not None and record.segment is not None
-        ]
-    )
+        return SequenceResult([], [], 0), None
     records = [
         record._replace(segment=None, pose=None, loss="two_motions")
         if record.segment is not None and odometry.is_withdrawn(record.segment, record.capture_ns)
         else record
         for record in records
     ]
-    share = odometry.readout.share
-    result = SequenceResult(records, odometry.joints, odometry.keyframes, share, known.offset)
-    return result, _Learnt(share, odometry.offset_found or known.offset, moved)
+    return SequenceResult(records, odometry.joints, odometry.keyframes, known), odometry.offset_found
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:

@@ -165,27 +165,6 @@ def shared_offset(
     return OffsetTold(max(alone - taken_by, 0.0), missed - explained)
 
 
-class Drifts(NamedTuple):
-    """How all poses of a problem go by a px of the right eye's columns, ``twists`` (k, 6) in their own
-    cameras, and all ``points`` (m, 3) in C0.
-    """
-
-    twists: Array
-    points: Array
-
-
-def moved_by_offset(
-    problem: Problem, eyes: tuple[CameraModel, CameraModel], px: tuple[float, float], drifts: Drifts
-) -> tuple[Array, Array]:
-    """By how much more the free poses (twists (k, 6)) and the points (m, 3) of ``problem``, adjusted already,
-    go by a px of the right eye's columns than ``drifts`` says, which is from before. Known depths go with
-    their points. ``px``: as ``noise_px`` and ``huber_px`` of ``adjusted``.
-    """
-    linear = _Linearisation(problem, eyes, *px)
-    missed = linear.offset() - linear.gone(problem.X_CC0, problem.points, drifts)
-    return step(linear.blocks(problem.X_CC0, problem.points, missed), _UNDAMPED)
-
-
 class _Linearisation:
     """Errors of a problem and their linearisation; views come first, depths after, as rows whose second
     half is empty.
@@ -232,15 +211,6 @@ class _Linearisation:
         found = np.zeros((len(self._camera), 2))
         found[: len(self._views.eye), 0] = self._views.eye / self._noise_px
         return found
-
-    def gone(self, X_CC0: Array, points: Array, drifts: Drifts) -> Array:
-        """How what is expected of the views (n, 2) goes by ``drifts``; nothing of known depths."""
-        _, rate, in_camera = self._errors(X_CC0, points)
-        to_point = rate @ X_CC0[self._camera, :3, :3]
-        found = np.einsum("nij,nj->ni", _to_pose(rate, in_camera), drifts.twists[self._camera])
-        found += np.einsum("nij,nj->ni", to_point, drifts.points[self._point])
-        found[len(self._views.eye) :] = 0.0
-        return np.asarray(found)
 
     def blocks(self, X_CC0: Array, points: Array, missed: Array | None = None) -> Blocks:
         """The normal equations at ``X_CC0`` and ``points``; a pose moves by [p; θ] in its own camera.

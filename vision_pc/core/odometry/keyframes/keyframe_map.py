@@ -5,20 +5,35 @@ is unknown about it, only that is uncertain, and about equally so for near and f
 adds what it saw.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
+from foundation.compiled import allocation_free
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes import bundle_adjustment
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, shared
-from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift, view_rates
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
+from vision_pc.core.odometry.limits import HUBER_PX, NOISE_PX
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
-_LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
+_LEASTSHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
 SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
+_REPORTED_PX = 0.03  # [E] by rendered sequences: what differs from point to point; the rest they share
+_NOT_MOVED = np.zeros(6)
 _OLDEST = 0.2  # of points: may be mismatched
+
+
+class HeldViews(NamedTuple):
+    """Both eyes' views (2, n, 2) px of the points that hold a pose: what they miss by, their ``weights``
+    (2, n) 0…1, and how they move with the points' inverse depths, px m.
+    """
+
+    errors_px: Array
+    weights: Array
+    by_depth: Array
 
 
 class KeyframeMap:
@@ -28,13 +43,7 @@ class KeyframeMap:
     whole map, relative.
     """
 
-    def __init__(
-        self,
-        camera: CameraCalibration,
-        depth_floor_px: float,
-        depth_told_px: float = 0.0,
-        drifts: bool = False,
-    ) -> None:
+    def __init__(self, camera: CameraCalibration, depth_floor_px: float) -> None:
         self.keyframes: list[Keyframe] = []
         self.points = np.zeros((0, 3))
         self._eyes = (camera.left, camera.right)
@@ -42,10 +51,11 @@ class KeyframeMap:
         self._disparity_metres = disparity_metres(camera)
         self._least_std = depth_floor_px / self._disparity_metres
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
-        self._told_std = depth_told_px / self._disparity_metres
-        self._inverse_depths, self._information, self._told = np.zeros(0), np.zeros(0), np.zeros(0)
+        self._reported_std = min(depth_floor_px, _REPORTED_PX) / self._disparity_metres
+        self._inverse_depths, self._information, self._reported = np.zeros(0), np.zeros(0), np.zeros(0)
+        # how inverse depths, 1/m, and keyframes, [δp; δθ] in C0, go by a px of an offset of all disparities
+        self._by_offset, self._keyframes_by_offset = np.zeros(0), np.zeros((0, 6))
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
-        self._drift = MapDrift(camera) if drifts else None
         self.scale_std = 0.0
         self._forgotten = -1  # the greatest number of a keyframe that was left out
 
@@ -54,12 +64,12 @@ class KeyframeMap:
         X_C0C: Array,
         points_C: Array,
         noise_px: Array | float,
-        drift: Array | None = None,
-        told_px: float = 0.0,
+        matched_px: float = 0.0,
+        by_offset: Array = _NOT_MOVED,
     ) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
-        the next keyframe, their disparities to ``noise_px`` (n,). ``drift`` (6,): how its pose goes by a px
-        of the disparities' offset; ``told_px``: what matching truly leaves, where that is known.
+        the next keyframe, their disparities to ``noise_px`` (n,); ``matched_px``: what matching truly
+        leaves, where that is known; ``by_offset`` (6,) of the camera, as of a ``PoseSpread``.
         """
         first, count = len(self.points), len(points_C)
         inverse_depths = 1.0 / points_C[:, 2]
@@ -70,11 +80,12 @@ class KeyframeMap:
         self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
         std = np.full(count, noise_px) * self._least_std / self._depth_floor_px
         self._information = np.concatenate([self._information, _precisions(std)])
-        told = np.full(count, np.maximum(noise_px, told_px)) / self._disparity_metres
-        self._told = np.concatenate([self._told, _precisions(told)])
-        self._first = np.concatenate([self._first, np.full(count, self.next_number)])
-        if self._drift is not None:
-            self._drift.add(self.next_number, count, drift)
+        reported = np.full(count, np.maximum(noise_px, matched_px)) / self._disparity_metres
+        self._reported = np.concatenate([self._reported, _precisions(reported)])
+        self._by_offset = np.concatenate([self._by_offset, np.full(count, -1.0 / self._disparity_metres)])
+        number = self.next_number
+        self._keyframes_by_offset = np.vstack([self._keyframes_by_offset[:number], by_offset])
+        self._first = np.concatenate([self._first, np.full(count, number)])
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
 
@@ -118,52 +129,47 @@ class KeyframeMap:
 
     def pose_rates(self, ids: Indices, X_CC0: Array) -> Array:
         """How the eyes' views of points ``ids`` move with the camera's [δp; δθ] in C0, px (2, n, 2, 6)."""
-        X_C0C, points = se3.inverse(X_CC0), self.points[ids]
-        return np.stack([view_rates(eye, X_C0C, points)[1] for eye in self._eyes])
-
-    def drift(self, ids: Indices, X_CC0: Array, weights: Array) -> PoseDrift | None:
-        """How a pose that points ``ids`` hold with ``weights`` (2, n) goes by a px of the disparities'
-        offset, with all that they have gone themselves; None where that is not followed.
-        """
-        if self._drift is None:
-            return None
-        gone = self._drift.of_points(ids, self._lines(ids))
-        return self._drift.of_pose(se3.inverse(X_CC0), self.points[ids], gone, weights)
-
-    def _lines(self, ids: Indices) -> Lines:
-        return Lines(self._first[ids], self._origins[ids], self._directions[ids], self._inverse_depths[ids])
+        place, points = se3.inverse(X_CC0)[:3, 3], self.points[ids]
+        rates = np.empty((2, len(ids), 2, 6))
+        for eye, its in zip(self._eyes, rates, strict=True):
+            focal = float(eye.K[0, 0]), float(eye.K[1, 1])
+            _fill_pose_rates(se3.inverse(eye.X_CE) @ X_CC0, focal, place, points, its)
+        return rates
 
     def stds(self, ids: Indices) -> Array:
         """Standard deviations (n,) of the inverse depths, 1/m."""
         return np.asarray(np.maximum(self._information[ids] ** -0.5, self._least_std))
 
-    def told_stds(self, ids: Indices) -> Array:
+    def reported_stds(self, ids: Indices) -> Array:
         """What inverse depths truly are known to (n,), 1/m: the floor of ``stds`` is what weighs them."""
-        return np.asarray(np.maximum(self._told[ids] ** -0.5, self._told_std))
+        return np.asarray(np.maximum(self._reported[ids] ** -0.5, self._reported_std))
 
-    def update(
-        self,
-        ids: Indices,
-        X_CC0: Array,
-        errors_px: Array,
-        weights: Array,
-        noise_px: float,
-        drift: PoseDrift | None = None,
-    ) -> None:
-        """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
-
-        ``errors_px`` (2, n, 2) measured minus expected in both eyes, ``weights`` (2, n) 0…1, ``noise_px``
-        of one coordinate; ``drift`` of the frame's pose, where it is followed.
+    def depths_by_offset(self, ids: Indices) -> Array:
+        """How inverse depths of points ``ids`` go (n,), 1/m, by a px of an offset of all disparities. It puts
+        each wrong by the same amount at first; what pictures show of depths on the way takes that back.
         """
-        J = self.sensitivity(ids, X_CC0)
-        precision = weights[:, :, None] / noise_px**2
+        return np.asarray(self._by_offset[ids])
+
+    def carried_by_offset(self, ids: Indices, place: Array) -> Array:
+        """How a body at ``place`` goes, [δp; δθ] in C0 (n, 6), that the keyframes which first showed points
+        ``ids`` carry along, by a px of an offset of all disparities.
+        """
+        gone = self._keyframes_by_offset[self._first[ids]]
+        turned = np.cross(gone[:, 3:], place - self._origins[ids])
+        return np.hstack([gone[:, :3] + turned, gone[:, 3:]])
+
+    def update(self, ids: Indices, views: HeldViews, noise_px: float, views_by_offset: Array) -> None:
+        """Correct the points ``ids`` by what a frame saw, to ``noise_px`` of one coordinate;
+        ``views_by_offset`` (2, n, 2) as of a ``PoseSpread``.
+        """
+        J = views.by_depth
+        precision = views.weights[:, :, None] / noise_px**2
         added = (precision * J * J).sum(axis=(0, 2))
         self._information[ids] += added
-        self._told[ids] += added / SHARED
+        self._reported[ids] += added / SHARED
         known = np.maximum(self._information[ids], self.stds(ids) ** -2.0)
-        step = (precision * J * errors_px).sum(axis=(0, 2)) / known
-        if self._drift is not None and drift is not None:
-            self._drift.learn(ids, (precision * J * drift.views).sum(axis=(0, 2)) / known)
+        step = (precision * J * views.errors_px).sum(axis=(0, 2)) / known
+        self._by_offset[ids] += (precision * J * views_by_offset).sum(axis=(0, 2)) / known
         limit = 3.0 * self.stds(ids)
         self._inverse_depths[ids] += np.clip(step, -limit, limit)
         self._information[ids] = np.minimum(self._information[ids], self._least_std**-2.0)
@@ -174,7 +180,7 @@ class KeyframeMap:
         self._forgotten = max(self._forgotten, keyframe.number)
         self.keyframes = [kept for kept in self.keyframes if kept is not keyframe]
 
-    def adjust(self, window: int, noise_px: float, huber_px: float) -> None:
+    def adjust(self, window: int) -> None:
         """Bring the newest ``window`` keyframes and the points that they share with others into agreement.
 
         Held by what stays: the first keyframe, and up to ``window`` older ones that show the same points.
@@ -183,15 +189,11 @@ class KeyframeMap:
         shown = np.unique(np.concatenate([keyframe.ids for keyframe in free])) if free else np.zeros(0, int)
         older = self.keyframes[: len(self.keyframes) - len(free)]
         shares = [int(np.isin(keyframe.ids, shown).sum()) for keyframe in older]
-        held = [older[k] for k in np.argsort(shares, kind="stable")[-window:] if shares[k] >= _LEAST_SHARED]
+        held = [older[k] for k in np.argsort(shares, kind="stable")[-window:] if shares[k] >= _LEASTSHARED]
         if not held:
             return
         problem, ids = self._problem(held, free, shown)
-        found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
-        there = problem._replace(X_CC0=found.X_CC0, points=found.points)
-        if self._drift is not None:
-            numbers = [keyframe.number for keyframe in (*held, *free)]
-            self._drift.adjust(there, numbers, ids, self._lines(ids), (noise_px, huber_px))
+        found = bundle_adjustment.adjusted(problem, self._eyes, NOISE_PX, HUBER_PX)
         for keyframe, X_CC0 in zip(free, found.X_CC0[len(held) :], strict=True):
             self._move(keyframe, se3.inverse(X_CC0))
         lengths = np.linalg.norm(self._directions[ids], axis=1)
@@ -200,15 +202,15 @@ class KeyframeMap:
         self._directions[ids] = away * self._inverse_depths[ids][:, None]
         self.points[ids] = found.points
 
-    def offset_told(self, window: int, noise_px: float, huber_px: float) -> bundle_adjustment.OffsetTold:
+    def offset_told(self, window: int) -> bundle_adjustment.OffsetTold:
         """What the newest ``window`` keyframes tell of an offset of the right eye's columns, from what both
         eyes saw and from nothing else.
         """
         chosen = self.keyframes[-window:]
         problem, _ = self._problem(chosen[:1], chosen[1:], np.concatenate([one.ids for one in chosen]), True)
-        found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
+        found = bundle_adjustment.adjusted(problem, self._eyes, NOISE_PX, HUBER_PX)
         there = problem._replace(X_CC0=found.X_CC0, points=found.points)
-        return bundle_adjustment.shared_offset(there, self._eyes, noise_px, huber_px)
+        return bundle_adjustment.shared_offset(there, self._eyes, NOISE_PX, HUBER_PX)
 
     def _problem(
         self, held: list[Keyframe], free: list[Keyframe], shown: Indices, views_alone: bool = False
@@ -254,3 +256,27 @@ def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) ->
     seen, moved = se3.apply(X_EC0, points), rates @ X_EC0[:3, :3].T
     slopes = (moved[:, :2] - seen[:, :2] / seen[:, 2:] * moved[:, 2:]) / seen[:, 2:]
     return np.asarray(slopes * (eye.K[0, 0], eye.K[1, 1]))
+
+
+@allocation_free
+def _fill_pose_rates(
+    X_EC0: Array, focal: tuple[float, float], place: Array, points: Array, rates: Array
+) -> None:
+    """Fill ``rates`` (n, 2, 6): how what an eye sees of ``points`` (n, 3) goes by the [δp; δθ] of the camera
+    at ``place`` that carries it, all in C0, px/m and px/rad.
+    """
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = X_EC0[2, 0] * x + X_EC0[2, 1] * y + X_EC0[2, 2] * z + X_EC0[2, 3]
+        lx, ly, lz = x - place[0], y - place[1], z - place[2]
+        for k in range(2):
+            ray = (X_EC0[k, 0] * x + X_EC0[k, 1] * y + X_EC0[k, 2] * z + X_EC0[k, 3]) / depth
+            scale = focal[k] / depth
+            bx = scale * (X_EC0[k, 0] - ray * X_EC0[2, 0])
+            by = scale * (X_EC0[k, 1] - ray * X_EC0[2, 1])
+            bz = scale * (X_EC0[k, 2] - ray * X_EC0[2, 2])
+            rates[n, k, 0], rates[n, k, 1], rates[n, k, 2] = -bx, -by, -bz
+            # b · (L × θ) = (b × L) · θ
+            rates[n, k, 3] = by * lz - bz * ly
+            rates[n, k, 4] = bz * lx - bx * lz
+            rates[n, k, 5] = bx * ly - by * lx

@@ -8,104 +8,62 @@ converged), tells the match's covariance (White 1980, by clusters).
 
 import math
 
-import numpy as np
-
 from foundation.compiled import allocation_free
-from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
-from vision_pc.core.odometry.keyframes.templates import FLAT, Patches, is_inside
+from vision_pc.core.odometry.keyframes.templates import FLAT
+from vision_pc.core.odometry.limits import PATCH_PX
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import Image
 
 _ACROSS = 3  # parts of a patch's side
-_LEAST_LIKENESS = 0.1  # with less nothing is told
-_MOST_PX = 3.0
+_PART = PATCH_PX // _ACROSS
+MOST_PX = 3.0
 
 
-def match_stds(keyframe: Keyframe, image: Image, ends: Array, warps: Array) -> Array:
-    """The standard deviation (n,) of where ``image`` shows the keyframe's points, px of one coordinate, found
-    at ``ends`` (n, 2) under the distortions ``warps`` (n, 2, 2); 3 px where nothing tells, and at most.
-    """
-    sought = keyframe.templates.patches()
-    stds = np.full(len(ends), _MOST_PX)
-    _tell(sought, keyframe.rows, image, ends, warps, stds, np.empty(sought.side * sought.side))
-    return stds
-
-
-@allocation_free(nogil=True)
-def _tell(
-    sought: Patches, rows: Indices, image: Image, ends: Array, warps: Array, stds: Array, seen: Array
-) -> None:
-    half = sought.side // 2
-    for n in range(len(rows)):
-        patterns, products = sought.patterns[rows[n]], sought.products[rows[n]]
-        hxx, hxy, hyy = products[0], products[1], products[2]
-        determinant = hxx * hyy - hxy * hxy
-        a, b, c, d = warps[n, 0, 0], warps[n, 0, 1], warps[n, 1, 0], warps[n, 1, 1]
-        if not determinant >= 1e-12 or not is_inside(image, ends[n, 0], ends[n, 1], (a, b, c, d), half):
-            continue
-        likeness = _sampled(image, ends[n, 0], ends[n, 1], (a, b, c, d), patterns[0], sought.side, seen)
-        if likeness < _LEAST_LIKENESS:
-            continue
-        sxx, sxy, syy = _pulls(patterns, seen, likeness, sought.side)
-        # u = H⁻¹ b / likeness in the keyframe's px, moved into the picture by the distortion
-        ixx, ixy, iyy = hyy / determinant, -hxy / determinant, hxx / determinant
-        pxx, pxy = a * ixx + b * ixy, a * ixy + b * iyy
-        pyx, pyy = c * ixx + d * ixy, c * ixy + d * iyy
-        across = pxx * pxx * sxx + 2.0 * pxx * pxy * sxy + pxy * pxy * syy
-        along = pyx * pyx * sxx + 2.0 * pyx * pyy * sxy + pyy * pyy * syy
-        stds[n] = min(math.sqrt(0.5 * (across + along)) / likeness, _MOST_PX)
-
-
-@allocation_free
-def _sampled(
-    image: Image,
-    x: float,
-    y: float,
-    warp: tuple[float, float, float, float],
-    patch: Array,
-    side: int,
-    seen: Array,
+@allocation_free(fastmath={"contract", "reassoc"})
+def match_std(
+    seen: Array, patterns: Array, products: Array, warp: tuple[float, float, float, float], side: int
 ) -> float:
-    """Fill ``seen`` with what ``image`` shows, of mean 0 and norm 1; its likeness to ``patch``, -1: flat."""
-    a, b, c, d = warp
-    half, count = side // 2, side * side
-    total = squares = 0.0
-    for i in range(side):
-        for j in range(side):
-            column, row = x + a * (j - half) + b * (i - half), y + c * (j - half) + d * (i - half)
-            left, top = int(column), int(row)
-            fx, fy = column - left, row - top
-            upper = float(image[top, left]) * (1.0 - fx) + fx * float(image[top, left + 1])
-            lower = float(image[top + 1, left]) * (1.0 - fx) + fx * float(image[top + 1, left + 1])
-            value = upper + fy * (lower - upper)
-            seen[i * side + j] = value
-            total += value
-            squares += value * value
-    mean = total / count
+    """The standard deviation of where a patch was found, px of one coordinate; 3 px where nothing tells, and
+    at most. ``seen`` (side²,): grey levels there, under the distortion ``warp``, which are overwritten;
+    ``patterns`` (3, side²) and ``products`` (3,) as of ``Patches``.
+    """
+    total = squares = likeness = 0.0
+    for k in range(side * side):
+        total += seen[k]
+        squares += seen[k] * seen[k]
+        likeness += seen[k] * patterns[0, k]  # of mean 0: the mean of what is seen drops out
+    mean = total / (side * side)
     norm = math.sqrt(max(squares - total * mean, 0.0))
-    if norm < FLAT:
-        return -1.0
-    likeness = 0.0
-    for k in range(count):
-        seen[k] = (seen[k] - mean) / norm
-        likeness += seen[k] * patch[k]
-    return likeness
+    if norm < FLAT or likeness <= 0.0:
+        return MOST_PX
+    likeness /= norm
+    for k in range(side * side):
+        seen[k] = (seen[k] - mean) / norm - likeness * patterns[0, k]
+    sxx, sxy, syy = _pulls(patterns, seen, side)
+    # u = H⁻¹ b / likeness in the keyframe's px, moved into the picture by the distortion
+    a, b, c, d = warp
+    hxx, hxy, hyy = products[0], products[1], products[2]
+    determinant = hxx * hyy - hxy * hxy
+    ixx, ixy, iyy = hyy / determinant, -hxy / determinant, hxx / determinant
+    pxx, pxy = a * ixx + b * ixy, a * ixy + b * iyy
+    pyx, pyy = c * ixx + d * ixy, c * ixy + d * iyy
+    across = pxx * pxx * sxx + 2.0 * pxx * pxy * sxy + pxy * pxy * syy
+    along = pyx * pyx * sxx + 2.0 * pyx * pyy * sxy + pyy * pyy * syy
+    return min(math.sqrt(0.5 * (across + along)) / likeness, MOST_PX)
 
 
-@allocation_free
-def _pulls(patterns: Array, seen: Array, likeness: float, side: int) -> tuple[float, float, float]:
+@allocation_free(fastmath={"contract", "reassoc"})
+def _pulls(patterns: Array, missed: Array, side: int) -> tuple[float, float, float]:
     """The sums xx, xy, yy of the parts' pulls squared, about their mean."""
     sxx = sxy = syy = bx_all = by_all = 0.0
     parts = _ACROSS * _ACROSS
     for part in range(parts):
-        top, left = part // _ACROSS, part % _ACROSS
+        first = part // _ACROSS * _PART * side + part % _ACROSS * _PART
         bx = by = 0.0
-        for i in range(top * side // _ACROSS, (top + 1) * side // _ACROSS):
-            for j in range(left * side // _ACROSS, (left + 1) * side // _ACROSS):
-                k = i * side + j
-                missed = seen[k] - likeness * patterns[0, k]
-                bx += patterns[1, k] * missed
-                by += patterns[2, k] * missed
+        for i in range(_PART):
+            for j in range(_PART):  # of a length known beforehand: compilers unroll it
+                k = first + i * side + j
+                bx += patterns[1, k] * missed[k]
+                by += patterns[2, k] * missed[k]
         sxx += bx * bx
         sxy += bx * by
         syy += by * by
