@@ -49,7 +49,12 @@ def test_what_is_run_elsewhere_is_all_that_is_left_out() -> None:
 
 def cases() -> list[object]:
     return [
-        pytest.param(text, block, id=block.text.splitlines()[0] + str(number))
+        pytest.param(
+            text,
+            block,
+            id=block.text.splitlines()[0] + str(number),
+            marks=[pytest.mark.realtime] if "make demo" in block.text else [],
+        )
         for text in WITHIN
         for number, block in enumerate(runnable(text))
     ]
@@ -70,6 +75,7 @@ def test_a_block_prints_what_the_page_says(text: str, block: Block, tmp_path: Pa
     assert missing(block.printed, done.stdout, WITHIN[text]) == [], done.stdout[-2000:]
 
 
+@pytest.mark.realtime
 def test_longreach_up_serves_the_page_until_ctrl_c(tmp_path: Path) -> None:
     assert "\nlongreach up\n" in TUTORIAL
     up = subprocess.Popen(
@@ -80,7 +86,7 @@ def test_longreach_up_serves_the_page_until_ctrl_c(tmp_path: Path) -> None:
         assert up.stdout is not None
         url = next(found[0] for line in up.stdout if (found := re.search(r"http://127.0.0.1:\d+/", line)))
         deadline = time.monotonic() + 60.0
-        while b"ENABLE" not in (body := urllib.request.urlopen(url, timeout=10.0).read()):
+        while b"Longreach console" not in (body := urllib.request.urlopen(url, timeout=10.0).read()):
             assert time.monotonic() < deadline, body[:200]
     finally:
         up.send_signal(signal.SIGINT)
