@@ -10,7 +10,7 @@ sys.path.insert(0, str(ROOT))
 project = "Longreach"
 author = "the Longreach authors"
 version = release = importlib.metadata.version("longreach")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "tools.site.extension"]
+extensions = ["myst_parser", "tools.site.extension"]
 
 root_doc = (
     "README"  # the source directory is the repository, so that links between pages are those of the forge
@@ -19,6 +19,7 @@ include_patterns = [
     "README.md",
     "CHANGELOG.md",
     "CONTRIBUTING.md",
+    "RELEASING.md",
     "SECURITY.md",
     "docs/**.md",
     "examples/*/README.md",
@@ -28,11 +29,6 @@ suppress_warnings = ["toc.multiple_toc_parents"]
 
 myst_heading_anchors = 4  # as the forge makes them
 myst_links_external_new_tab = False
-
-autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
-autodoc_preserve_defaults = True  # as written: no path of the machine that builds
-python_use_unqualified_type_names = True
 
 html_theme = "furo"
 html_title = f"Longreach {version}"
