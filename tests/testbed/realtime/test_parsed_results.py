@@ -67,6 +67,8 @@ def test_a_look_then_move() -> None:
     assert np.allclose(read.final.error_m, VERDICT.error_m)
     assert (read.final.inside, read.final.certain, read.final.tolerance_m) == (False, True, 0.005)
     assert note_of(read) == note_of(result) != ""
+    assert "CONTRADICTED" not in note_of(result)
+    assert "CONTRADICTED" in note_of(result._replace(ended=Ended.CONTRADICTED))
 
 
 def test_an_orientation_adjustment() -> None:

@@ -290,7 +290,7 @@ function summary(kind, result) {
   if (kind === 'move') return `, ${result.miss_mm.toFixed(1)} mm beside`;
   if (result.look ?? result.error_mm) {
     const error = (result.look ?? result).error_mm;
-    return `: ${millimetres([error.x, error.y, error.z], 2)}`;
+    return `: ${millimetres([error.x, error.y, error.z], 2)}${result.ended === 'contradicted' ? '. ▲ Odometry had the target elsewhere: does it move?' : ''}`;
   }
   return '';
 }
