@@ -68,10 +68,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         why = f"{path}: not UTF-8 at byte {error.start}"
         raise ConfigurationError("configuration.not_yaml", why) from error
-    data = _parse_yaml(text, str(path))
+    return parse_mapping(text, str(path))
+
+
+def parse_mapping(text: str, where: str) -> dict[str, Any]:
+    """The mapping that YAML ``text`` is; ``where`` names its origin. Raises ConfigurationError as
+    ``read_yaml``.
+    """
+    data = _parse_yaml(text, where)
     if not isinstance(data, dict):
         raise ConfigurationError(
-            "configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}"
+            "configuration.not_a_mapping", f"{where}: a mapping is wanted, got {type(data).__name__}"
         )
     return data
 
