@@ -164,11 +164,12 @@ def validated(
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
         # A key written where only its place may be named must not reach a log on top of it.
-        hidden = first["type"] == "missing" or "link_key" in first["loc"]
+        hidden = first["type"] == "missing" or "link_key" in first["loc"] or not first["loc"]
         value = "" if hidden else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = _CAUSES.get(first["type"], first["type"])
-        told = first["msg"] if cause != "unknown_key" else _like(model, first["loc"])
+        said = first["msg"].removeprefix("Value error, ")
+        told = said if cause != "unknown_key" else _like(model, first["loc"])
         raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {told}{more}") from error
 
 

@@ -30,7 +30,7 @@ Z = se3.transform(Rotation.from_euler("xyz", [2.0, 1.0, 40.0], degrees=True).as_
 
 
 def samples(count: int = 15) -> tuple[Array, Array]:
-    """Poses (count, 4, 4) of a hand that looks down and of the target in its camera, with noise of 0.05 deg 0.3 mm."""
+    """Poses (count, 4, 4) of a hand that looks down and of the target in its camera, a little noisy."""
     rng = np.random.default_rng(4)
     hands, cameras = [], []
     for _ in range(count):
