@@ -122,18 +122,24 @@ def read_robot_poses(
         names.append(name)
     if not poses:
         raise RequestRefused("refused.hand_eye.count", f"{path.name}: no pose in it")
-    if form is PoseForm.EULER and widest <= 2.0 * math.pi:
-        raise RequestRefused(
-            "refused.hand_eye.units",
-            f"{path.name}: no angle is larger than {widest:.3g}, degrees are wanted; are they radians? Then "
-            f"--poses {PoseForm.EULER_RAD} reads them",
-        )
+    if form is PoseForm.EULER:
+        _question_degrees(widest, path.name)
     if any(name is None for name in names) and any(names):
         raise RequestRefused(
             "refused.hand_eye.format", f"{path.name}: some lines name a picture, some do not"
         )
     told = tuple(str(name) for name in names)
     return RobotPoses(np.stack(poses), told if names[0] is not None else None)
+
+
+def _question_degrees(widest: float, where: str) -> None:
+    """Raise RequestRefused where the widest of all angles is no more than a turn in radians."""
+    if widest <= 2.0 * math.pi:
+        raise RequestRefused(
+            "refused.hand_eye.units",
+            f"{where}: no angle is larger than {widest:.3g}, degrees are wanted; are they radians? Then "
+            f"--poses {PoseForm.EULER_RAD} reads them",
+        )
 
 
 def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: bool) -> tuple[Array, Array]:
