@@ -232,3 +232,13 @@ def test_opencvs_file_of_one_camera_takes_the_size_of_the_pictures(tmp_path: Pat
     )
     found = picture_samples.read_camera(tmp_path / "eye.yml", (640, 480))
     assert found.size == (640, 480)
+
+
+@pytest.mark.parametrize("orders", [("xyz", "YZX"), ("xyz", "XZY")])
+def test_a_reading_beyond_the_limits_is_not_called_likely(orders: tuple[str, str]) -> None:
+    """A turn of the axes leaves rotations alone and 150 mm of translation: nobody's convention."""
+    hand, camera = samples()
+    moved = reread(hand, lambda R: Rotation.from_euler(orders[0], R.as_euler(orders[1])))
+    with pytest.raises(MeasurementFailed) as refused:
+        judgement.believed(pose_pairs(moved, camera), Method.MAXIMUM_LIKELIHOOD)
+    assert "likely" not in str(refused.value)
