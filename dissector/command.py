@@ -28,10 +28,11 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-_ETHERNET, _RAW_IP, _LINUX_SLL, _NULL = 1, 101, 113, 0
+_ETHERNET, _RAW_IP, _RAW_IPV4, _LINUX_SLL, _LINUX_SLL2, _NULL = 1, 101, 228, 113, 276, 0
 _IPV4, _VLAN, _UDP = 0x0800, 0x8100, 17
 _ALL_PROTOCOLS = 3
-_LINK_BYTES = {_ETHERNET: 14, _RAW_IP: 0, _LINUX_SLL: 16, _NULL: 4}
+_LINK_BYTES = {_ETHERNET: 14, _RAW_IP: 0, _RAW_IPV4: 0, _LINUX_SLL: 16, _LINUX_SLL2: 20, _NULL: 4}
+_KIND_AT = {_ETHERNET: 12, _LINUX_SLL: 14, _LINUX_SLL2: 0}  # where the protocol behind the header is told
 _MAGICS = {b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6),
            b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9)}  # fmt: skip
 
@@ -63,7 +64,9 @@ def from_file(path: Path) -> Iterator[UdpPacket]:
     order, tick_s = order_and_tick
     link = struct.unpack_from(order + "I", content, 20)[0] & 0xFFFF
     if link not in _LINK_BYTES:
-        raise ConfigurationError("sniff.not_pcap", f"{path}: link type {link} is not known here")
+        known = ", ".join(map(str, sorted(_LINK_BYTES)))
+        why = f"link type {link} is not known here, {known} are: capture on one Ethernet interface, or -i any"
+        raise ConfigurationError("sniff.not_pcap", f"{path}: {why}")
     at = 24
     while at + 16 <= len(content):
         seconds, fraction, size, _ = struct.unpack_from(order + "4I", content, at)
@@ -98,8 +101,8 @@ def from_interface(name: str) -> Iterator[UdpPacket]:
 
 def _udp(frame: bytes, link: int, time_s: float) -> UdpPacket | None:
     at = _LINK_BYTES[link]
-    if link in (_ETHERNET, _LINUX_SLL) and len(frame) >= at:
-        kind = int.from_bytes(frame[at - 2 : at], "big")
+    if link in _KIND_AT and len(frame) >= at:
+        kind = int.from_bytes(frame[_KIND_AT[link] :][:2], "big")
         if kind == _VLAN and len(frame) >= at + 4:
             kind, at = int.from_bytes(frame[at + 2 : at + 4], "big"), at + 4
         if kind != _IPV4:

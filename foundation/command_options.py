@@ -5,6 +5,8 @@ Imported by every `--help`: nothing heavy may be.
 
 import dataclasses
 import inspect
+import io
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -62,3 +64,10 @@ def with_signature(command: Callable[..., None], parameters: list[inspect.Parame
 
 def _option(given: inspect.Parameter, annotation: Any) -> inspect.Parameter:
     return given.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=annotation)
+
+
+def show_any_letter() -> None:
+    """Have output show a sign in place of letters that a terminal or log cannot show."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")

@@ -130,7 +130,10 @@ def _compile(function: Any, options: dict[str, Any]) -> Any:
     """Return ``function`` compiled with ``options``, its cache keyed by the sources that it can see."""
     dispatcher = numba.njit(**options)(function)
     if hasattr(dispatcher, "enable_caching"):  # not when NUMBA_DISABLE_JIT leaves plain Python
-        dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+        if cache_root() is None:
+            _warn_unwritable("no home is known", "set HOME, XDG_CACHE_HOME or NUMBA_CACHE_DIR")
+        else:
+            dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
         dispatcher._compile_for_args = _without_interrupts(dispatcher._compile_for_args)
     return dispatcher
 
@@ -231,13 +234,13 @@ def sources_key(path: Path) -> str:
     return digest.hexdigest()[:20]
 
 
-def cache_root() -> Path:
-    """Return the directory under which every key has its own."""
+def cache_root() -> Path | None:
+    """Return the directory under which every key has its own; None where nobody has told of a home."""
     named = getattr(config, "CACHE_DIR", "")  # NUMBA_CACHE_DIR
     if named:
         return Path(named)
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(home) / "longreach" / "kernels"
+    return None if home.startswith("~") else Path(home) / "longreach" / "kernels"
 
 
 class _SourcesLocator(_CacheLocator):
@@ -249,7 +252,9 @@ class _SourcesLocator(_CacheLocator):
         self._line = function.__code__.co_firstlineno
         self._module = _home(path)[1]
         self._key = sources_key(path)
-        self.directory = cache_root() / f"{self._module}-{self._key}"
+        root = cache_root()
+        assert root is not None  # _compile gives no cache without one
+        self.directory = root / f"{self._module}-{self._key}"
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> "_SourcesLocator":
@@ -327,6 +332,6 @@ def _mark_used(directory: Path) -> None:
 
 
 @cache
-def _warn_unwritable(root: Path, reason: str | None) -> None:
+def _warn_unwritable(root: Path | str, reason: str | None) -> None:
     """Say once a process that its kernels will be compiled anew by the next one."""
     warnings.warn(f"compiled kernels are not kept: {root}: {reason}", RuntimeWarning, stacklevel=3)

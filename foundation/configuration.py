@@ -68,10 +68,17 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         why = f"{path}: not UTF-8 at byte {error.start}"
         raise ConfigurationError("configuration.not_yaml", why) from error
-    data = _parse_yaml(text, str(path))
+    return parse_mapping(text, str(path))
+
+
+def parse_mapping(text: str, where: str) -> dict[str, Any]:
+    """The mapping that YAML ``text`` is; ``where`` names its origin. Raises ConfigurationError as
+    ``read_yaml``.
+    """
+    data = _parse_yaml(text, where)
     if not isinstance(data, dict):
         raise ConfigurationError(
-            "configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}"
+            "configuration.not_a_mapping", f"{where}: a mapping is wanted, got {type(data).__name__}"
         )
     return data
 
@@ -157,11 +164,12 @@ def validated(
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
         # A key written where only its place may be named must not reach a log on top of it.
-        hidden = first["type"] == "missing" or "link_key" in first["loc"]
+        hidden = first["type"] == "missing" or "link_key" in first["loc"] or not first["loc"]
         value = "" if hidden else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = _CAUSES.get(first["type"], first["type"])
-        told = first["msg"] if cause != "unknown_key" else _like(model, first["loc"])
+        said = first["msg"].removeprefix("Value error, ")
+        told = said if cause != "unknown_key" else _like(model, first["loc"])
         raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {told}{more}") from error
 
 

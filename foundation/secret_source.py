@@ -110,7 +110,10 @@ def secret_from_file(path: Path, what: str) -> bytes:
     if not stat.S_ISREG(mode):
         raise _error(what, "unreadable", f"{path}: not a regular file")
     if mode & _OTHERS:
-        why = f"mode {stat.S_IMODE(mode):04o} lets others in: chmod 600"
+        why = (
+            f"mode {stat.S_IMODE(mode):04o} lets others in: chmod 600; where a container mounts it: mode "
+            "0400 and uid of the secret (Compose), defaultMode 0400 (Kubernetes), or an environment variable"
+        )
         raise _error(what, "exposed", f"{path}: {why}")
     return secret_from_text(text.decode("ascii", "replace"), str(path), what)
 

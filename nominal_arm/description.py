@@ -1,6 +1,6 @@
 """What arm.yaml may say: the nominal arm, with bounds on every number."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -9,6 +9,7 @@ from foundation.configuration import StrictModel
 JOINT_NAMES = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
 
 # Table 1 of Mäkinen et al. 2023: link twists of the paper's arm, and which lengths are zero in its structure.
+_JOINTS = 6
 _TWISTS_DEG = (90.0, 0.0, 90.0, 90.0, -90.0, 90.0, 90.0)
 _LENGTH_ALLOWED = (True, True, True, False, False, False, False)
 _OFFSET_ALLOWED = (True, False, False, True, False, True, False)
@@ -102,6 +103,19 @@ class NominalArm(StrictModel):
     drives: tuple[Drive, Drive, Drive, Drive, Drive, Drive]
     rated: RatedSupply
     workspace: Workspace
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_six_joints(cls, data: Any) -> Any:
+        """In the owner's words, before what is missing is listed by number."""
+        joints = data.get("joints") if isinstance(data, dict) else None
+        if isinstance(joints, list) and len(joints) != _JOINTS:
+            names = [str(one.get("name", "?")) if isinstance(one, dict) else "?" for one in joints]
+            raise ValueError(
+                f"{len(joints)} joints ({', '.join(names)}), wanted are 6: slew, lift, tilt, and a wrist "
+                "of three whose axes meet in a point; an arm without such a wrist cannot be driven here"
+            )
+        return data
 
     @model_validator(mode="after")
     def _structure(self) -> Self:

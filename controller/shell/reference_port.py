@@ -9,6 +9,7 @@ what strangers send can neither fill the peer's buffer nor cost the scan more th
 import asyncio
 import contextlib
 import socket
+import struct
 import time
 from collections import Counter
 
@@ -32,14 +33,26 @@ from protocol.session_events import (
 _ANYBODYS_A_CYCLE = 96  # while there is no peer
 _READ_A_CYCLE = 4096  # of the peer's; the kernel's buffer holds fewer
 _STRANGERS_A_CYCLE = 8  # while there is one: enough to refuse a second client
+_ALL = "0.0.0.0"
+_IP_PKTINFO = 8  # of Linux; Python has no name for it before 3.14
+_PACKET_INFO = struct.Struct("=I4s4s")  # interface, our address, the datagram's destination
+_TOLD_BYTES = socket.CMSG_SPACE(_PACKET_INFO.size)
+_ADDRESSES = 64
 _RECEIVE_BUFFER_BYTES = 1 << 20  # the kernel grants what it is allowed to
 
 
 class _Reader:
-    """One socket, what was read from it, and how much of that may still be judged in this cycle."""
+    """One socket, what was read from it, and how much of that may still be judged in this cycle.
+
+    ``asked``: by source, which of this host's addresses was asked, where the socket listens on all of them.
+    """
 
     def __init__(self, sock: socket.socket) -> None:
         self.socket = sock
+        self._everywhere = sock.getsockname()[0] == _ALL
+        if self._everywhere:
+            sock.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
+        self.asked: dict[object, bytes] = {}
         self.arrivals = Arrivals()
         self.left = 0
         self.paused = False
@@ -49,13 +62,24 @@ class _Reader:
         left_out = 0
         for _ in range(most):
             try:
-                data, source = self.socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
+                if self._everywhere:
+                    data, told, _, source = self.socket.recvmsg(MAX_DATAGRAM_BYTES + 1, _TOLD_BYTES)
+                    self._note(source, told)
+                else:
+                    data, source = self.socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
             except OSError:  # an earlier answer met a closed port
                 continue
             left_out += self.arrivals.put(data, source, session)
         return left_out
+
+    def _note(self, source: object, told: list[tuple[int, int, bytes]]) -> None:
+        """Remember which of our addresses ``source`` asked; of strangers the newest few."""
+        self.asked.pop(source, None)
+        self.asked[source] = _PACKET_INFO.unpack(told[0][2])[1]
+        if len(self.asked) > _ADDRESSES:
+            del self.asked[next(iter(self.asked))]
 
 
 class ReferencePort:
@@ -72,6 +96,7 @@ class ReferencePort:
         self._log = log
         self._inbox = Inbox()
         self._peers: _Reader | None = None
+        self._peer_asked: dict[object, bytes] = {}  # kept while strangers fill the other one
         self._socket = bound_udp(config.host, config.port, "controller.reference_link")
         _enlarge(self._socket)
         self._everybodys = _Reader(self._socket)
@@ -173,7 +198,12 @@ class ReferencePort:
     def _send(self) -> None:
         for data, source in self.server.outgoing(time.monotonic_ns()):
             with contextlib.suppress(OSError):  # the peer's absence is found by its silence
-                self._socket.sendto(data, source)  # type: ignore[call-overload]
+                at = self._peer_asked.get(source) or self._everybodys.asked.get(source)
+                if at is None:
+                    self._socket.sendto(data, source)  # type: ignore[call-overload]
+                else:  # an answer leaves from the address that was asked
+                    info = (socket.IPPROTO_IP, _IP_PKTINFO, _PACKET_INFO.pack(0, at, bytes(4)))
+                    self._socket.sendmsg([data], [info], 0, source)  # type: ignore[arg-type]
 
     def _report_events(self, events: list[ServerEvent]) -> None:
         for answer in self._inbox.put(events):
@@ -196,6 +226,8 @@ class ReferencePort:
     def _part(self, peer: object) -> None:
         """A socket of the peer's own, from now on; without one all share the first, as before."""
         self._rejoin()
+        if peer in self._everybodys.asked:
+            self._peer_asked = {peer: self._everybodys.asked[peer]}
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         own.setblocking(False)
         _enlarge(own)
@@ -203,7 +235,8 @@ class ReferencePort:
             # Two sockets may have one port only while both agree; a second controller shall not get it.
             for each in (self._socket, own):
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            own.bind(self._socket.getsockname())
+            at = self._everybodys.asked.get(peer)
+            own.bind(self.address if at is None else (socket.inet_ntoa(at), self.address[1]))
             own.connect(peer)  # type: ignore[arg-type]
         except OSError as error:
             own.close()
@@ -215,6 +248,7 @@ class ReferencePort:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
     def _rejoin(self) -> None:
+        self._peer_asked = {}
         if self._peers is not None:
             own, self._peers = self._peers, None
             self._unwatch(own)

@@ -54,13 +54,17 @@ class UndecodableMessage(LongreachError):
 
 def decoder(form: Format) -> Callable[[bytes], Values] | None:
     """What turns a message into values by flat names, such as ``transforms[0].translation.x``; None for an
-    encoding that is not Protobuf or JSON. Times are nanoseconds. What the message does not have is left out.
+    encoding that is not Protobuf or JSON, or a schema that is not whole. Times are nanoseconds. What the
+    message does not have is left out.
     """
     if form.message_encoding == "json":
         return lambda data: dict(_plain("", json.loads(data)))
     if form.message_encoding != "protobuf" or form.schema_encoding != "protobuf":
         return None
-    made = class_in(form)
+    try:
+        made = class_in(form)
+    except (TypeError, KeyError, DecodeError):  # the schema lacks a file, or is none
+        return None
 
     def decode(data: bytes) -> Values:
         try:
@@ -72,10 +76,16 @@ def decoder(form: Format) -> Callable[[bytes], Values] | None:
 
 
 def class_in(form: Format) -> Any:
-    """The Protobuf class that the schema ``form`` of a file describes."""
+    """The Protobuf class that the schema ``form`` of a file describes, its files in any order. Raises
+    TypeError, KeyError or DecodeError where it is not whole.
+    """
     pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(form.data).file:
-        pool.Add(file)
+    waiting = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(form.data).file}
+    while waiting:  # a file after those that it imports
+        ready = [file for file in waiting.values() if waiting.keys().isdisjoint(file.dependency)]
+        for file in ready or waiting.values():
+            pool.Add(file)
+        waiting = {name: file for name, file in waiting.items() if ready and file not in ready}
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(form.schema))
 
 

@@ -55,7 +55,9 @@ class AccessGuard:
             await send(message)
 
         refusal = self.refusal(scope)
-        if refusal is None:
+        if refusal is None and scope.get("method") == "HEAD":
+            await self._app({**scope, "method": "GET"}, receive, _only_head(sent))
+        elif refusal is None:
             await self._app(scope, receive, sent)
         else:
             await respond_unread(advised(refusal, self._advise))(scope, receive, sent)
@@ -201,6 +203,17 @@ def _after(body: bytes, receive: Receive) -> Receive:
         return messages.pop() if messages else await receive()
 
     return received
+
+
+def _only_head(send: Send) -> Send:
+    """``send`` that ends an answer behind its headers, as HEAD wants it of what GET would get."""
+
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            await send(message)
+            await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    return sent
 
 
 def _secure(headers: MutableHeaders) -> None:

@@ -13,6 +13,7 @@ from vision_pc.config.camera_files.reading import read_calibrations, write_calib
 from vision_pc.config.choices import LensModel
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception import stereo_fit
+from vision_pc.core.perception.board_finder import second_finders
 from vision_pc.core.perception.rectification import geometry, rectified_camera
 from vision_pc.core.perception.stereo_fit import PairView, StereoFit
 
@@ -38,6 +39,8 @@ def run_calibrate(
         out.print(
             f"no board in both eyes: {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True
         )
+    for line in second_finders(views):
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
     question([pair.left for pair in taken.pairs], board, len(views))
     if views:
         _guide(views, (width, height))

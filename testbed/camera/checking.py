@@ -16,6 +16,7 @@ from vision_pc.config.camera import PinholePair
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception import intrinsics, look, pair_check
+from vision_pc.core.perception.board_finder import second_finders
 from vision_pc.core.perception.pair_check import PictureReport, RowReport, board_offset
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
 from vision_pc.core.perception.stereo_fit import PairView
@@ -220,6 +221,8 @@ def boards_in(pairs: Sequence[StereoPair], board: AskedBoard) -> list[PairView]:
             with contextlib.suppress(MeasurementFailed):
                 views.append(found_board(pair, board, str(k)))
             bar.update((k + 1) / len(pairs), f"{len(views)} boards in both eyes")
+    for line in second_finders(views):
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
     return views
 
 

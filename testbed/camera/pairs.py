@@ -17,19 +17,18 @@ from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import ConfigurationError, LinkLost
 from testbed.reporting.console import bars, out
 from vision_pc.config.camera import CameraSettings
-from vision_pc.config.choices import Detector
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
-from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.board_finder import find_board
 from vision_pc.core.perception.stereo_fit import PairView
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.cameras.directory import TABLE, PairRecorder, read_grey, recorded_pairs
+from vision_pc.shell.cameras.picture_files import matched_pictures, pictures_in
 from vision_pc.shell.cameras.uvc import halves
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
 LIVE = "live"
 
 
@@ -73,22 +72,25 @@ def _spread(pairs: list[StereoPair], most: int) -> list[StereoPair]:
 
 
 def _pictures(directory: Path, most: int) -> Taken:
+    """Raises ConfigurationError where it holds no pairs."""
     folders = (directory / "left", directory / "right")
     if all(folder.is_dir() for folder in folders):
-        names = [sorted(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES) for folder in folders]
+        left, right = (pictures_in(folder) for folder in folders)
     else:
-        every = sorted(p for p in directory.iterdir() if p.suffix.lower() in _PICTURES)
-        names = [[p for p in every if p.name.lower().startswith(eye)] for eye in ("left", "right")]
-    left, right = names
-    if not left or len(left) != len(right):
+        every = pictures_in(directory)
+        left, right = ([p for p in every if p.name.lower().startswith(eye)] for eye in ("left", "right"))
+    if not left or not right:
         raise ConfigurationError(
             "configuration.bad_recording",
             f"{directory}: {len(left)} pictures of the left eye and {len(right)} of the right one; wanted "
-            f"are {TABLE}, or folders left and right, or files left… and right…, as many of each",
+            f"are {TABLE}, or folders left and right, or files left… and right…",
         )
-    chosen = np.linspace(0, len(left) - 1, min(most, len(left))).round().astype(int)
-    pairs = [StereoPair(read_grey(left[k]), read_grey(right[k]), 0, int(k)) for k in chosen]
-    return Taken([left[k].name for k in chosen], pairs, False)
+    files, notes = matched_pictures(left, right)
+    for note in notes:
+        out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
+    chosen = [files[k] for k in np.linspace(0, len(files) - 1, min(most, len(files))).round().astype(int)]
+    pairs = [StereoPair(read_grey(left[i]), read_grey(right[j]), 0, i) for i, j in chosen]
+    return Taken([left[i].name for i, _ in chosen], pairs, False)
 
 
 def _film(path: Path, most: int) -> list[StereoPair]:
@@ -134,12 +136,7 @@ def found_board(pair: StereoPair, board: AskedBoard, name: str) -> PairView:
     """The corners of ``board`` that both eyes see. Raises MeasurementFailed when one of them does not see
     it.
     """
-    views = [
-        zhang.find_charuco(picture, board, name)
-        if isinstance(board, Charuco)
-        else zhang.find_checkerboard(picture, board, Detector.SECTORS, name)
-        for picture in (pair.left, pair.right)
-    ]
+    views = [find_board(picture, board, name) for picture in (pair.left, pair.right)]
     return stereo_fit.paired(views[0], views[1])
 
 

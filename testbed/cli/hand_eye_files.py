@@ -24,8 +24,10 @@ from vision_pc.core.hand_eye.solvers import bundle, judgement
 from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.board_finder import second_finders
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
-from vision_pc.core.types import Image
+from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.picture_files import pictures_in
 
 
 def _samples(source: SampleSource) -> PosePairs:
@@ -119,7 +121,7 @@ def run_intrinsics_of_pictures(
     files: list[Path], board: PicturedBoard, detector: Detector, json_file: Path | None
 ) -> None:
     """Print the camera's intrinsics."""
-    pictures = [(file.stem, _picture(file)) for file in files]
+    pictures = [(file.stem, read_grey(file)) for file in files]
     sizes = {image.shape for _, image in pictures}
     if len(sizes) != 1:
         raise RequestRefused(
@@ -127,8 +129,8 @@ def run_intrinsics_of_pictures(
         )
     chosen = _board(board)
     views, missed = detect(pictures, chosen, detector)
-    for name in missed:
-        out.print(f"no board in {name}", style="yellow", highlight=False)
+    for line in (*second_finders(views), *(f"no board in {name}" for name in missed)):
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
     question([image for _, image in pictures], chosen, len(views))
     height, width = pictures[0][1].shape
     found = zhang.calibrate(views, width, height)
@@ -160,9 +162,17 @@ def run_samples(
     """Write the samples of ``files``: pictures, poses, camera. Raises LongreachError naming the file."""
     pictures, poses, camera = files
     found = read_robot_poses(poses, lines.poses_as, lines.hand_unit, lines.euler)
-    pairs = picture_samples.matched(picture_samples.pictures_in(pictures), found, poses.name)
-    chosen = _board(board)
-    content, missed = picture_samples.sample_file(pairs, picture_samples.read_camera(camera), chosen, setup)
+    named = pictures_in(pictures)
+    pairs = picture_samples.matched(named, found, poses.name)
+    height, width = read_grey(named[0]).shape
+    known = picture_samples.read_camera(camera, (width, height))
+    if known.bends is not None:
+        out.print(
+            f"{camera.name}: the lens is no Brown-Conrady: corners are written as a pinhole has them",
+            highlight=False,
+            soft_wrap=True,
+        )
+    content, missed = picture_samples.sample_file(pairs, known, _board(board), setup)
     picture_samples.write_samples(content, missed, to)
 
 
@@ -175,13 +185,6 @@ def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:
     if not cv2.imwrite(str(file), cabinet_front(fronts[0])):
         raise RequestRefused("refused.hand_eye.no_drawing", f"{file}: cannot be written")
     out.print(f"{file}: texels of {fronts[0].texel_mm} mm", highlight=False)
-
-
-def _picture(file: Path) -> Image:
-    image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise RequestRefused("refused.intrinsics.unreadable", f"{file}: not a picture")
-    return np.asarray(image, dtype=np.uint8)
 
 
 def _board(board: PicturedBoard) -> Checkerboard | Charuco:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from foundation.command_options import shipped_configs, unfolded
+from foundation.command_options import shipped_configs, show_any_letter, unfolded
 from protocol.errors import ConfigurationError
 from testbed.cli.options import (
     DEFAULT_CONFIG,
@@ -282,6 +282,7 @@ def identify(
 def main() -> None:
     """Run the command line."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings say what our refusals say
+    show_any_letter()
     app()
 
 

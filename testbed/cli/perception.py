@@ -14,15 +14,15 @@ from testbed.reporting.console import bars, out, table, write_json
 from testbed.reporting.trajectory_errors import TrajectoryErrors, read_tum, trajectory_errors
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.perception.picture_markers import PictureMarker, drawn, found_markers
+from vision_pc.core.perception.picture_markers import PictureMarker, drawn, search
+from vision_pc.core.perception.unread_markers import other_reading
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import StereoPair
+from vision_pc.core.types import Image, StereoPair
 from vision_pc.shell.cameras.directory import read_grey
 from vision_pc.shell.cameras.sequence import (
     PairRecord,
     Recorded,
     SequenceResult,
-    count_pairs,
     follow,
     write_side_file,
     write_tum,
@@ -51,7 +51,8 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
     config = load(VisionConfig, request.config_dir / "vision.yaml", overrides)
     truth = None if request.options.truth is None else read_tum(request.options.truth)
     tool_at = ToolPoses(request.options.tool_poses)
-    count = count_pairs(request.left)
+    known = Recorded(request.left, request.right, request.calibration, request.options.rate_hz, tool_at)
+    count = len(known.files().files)
     with bars() as shown, shown.step("following the camera") as bar:
 
         def report(record: PairRecord) -> None:
@@ -59,7 +60,6 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
             bar.update((record.frame_id + 1) / count, f"pair {record.frame_id + 1} of {count}: {held}")
 
         began = time.process_time()
-        known = Recorded(request.left, request.right, request.calibration, request.options.rate_hz, tool_at)
         result = follow(known, config, report)
         spent_ms = 1e3 * (time.process_time() - began) / len(result.records)
     tool_at.require()
@@ -80,6 +80,7 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
 
 def _figures(result: SequenceResult) -> dict[str, object]:
     return {
+        "notes": result.notes,
         "pairs": len(result.records),
         "lost": result.lost,
         "losses": dict(result.losses),
@@ -138,6 +139,8 @@ def _write_trajectories(trajectory: Path, result: SequenceResult) -> list[Path]:
 
 
 def _print(result: SequenceResult, spent_ms: float, files: list[Path]) -> None:
+    for note in result.notes:
+        out.print(note, highlight=False, soft_wrap=True)
     causes = ", ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
     lost = f"{result.lost} lost ({causes})" if result.lost else "none lost"
     out.print(
@@ -192,9 +195,10 @@ def run_markers(
     rows: list[tuple[str, ...]] = []
     figures: list[dict[str, object]] = []
     complete = True
+    notes: list[str] = []
     for k, path in enumerate(pictures):
-        found = _detect_in_picture(path, dictionary, requested, directory)
-        other = _detect_in_picture(right[k], dictionary, requested, directory) if right else []
+        found = _detect_in_picture(path, dictionary, requested, directory, notes)
+        other = _detect_in_picture(right[k], dictionary, requested, directory, notes) if right else []
         missing = sorted(requested - {marker.number for marker in found})
         complete &= bool(found) and not missing
         rows += [_row(path, marker, other) for marker in found]
@@ -204,21 +208,45 @@ def run_markers(
             figures[-1] |= {"right_picture": str(right[k]), "right_markers": _plain(other)}
     heads = ("picture", "number", "side px", "x px", "y px", "corners by", "sigma px", "disparity, rows px")
     out.print(table("markers", heads if right else heads[:-1], [row[: 8 if right else 7] for row in rows]))
+    for note in notes:
+        out.print(note, style="yellow", highlight=False, soft_wrap=True)
     out.print(f"{len(rows)} lines from {len(pictures)} pictures; {'complete' if complete else 'INCOMPLETE'}")
-    write_json(json_file, {"dictionary": dictionary, "pictures": figures, "complete": complete})
+    write_json(
+        json_file, {"dictionary": dictionary, "pictures": figures, "notes": notes, "complete": complete}
+    )
     return complete
 
 
 def _detect_in_picture(
-    path: Path, dictionary: str, requested: frozenset[int], directory: Path | None
+    path: Path, dictionary: str, requested: frozenset[int], directory: Path | None, notes: list[str]
 ) -> list[PictureMarker]:
-    """The markers of the picture at ``path``, also drawn into ``directory``."""
+    """The markers of the picture at ``path``, also drawn into ``directory``; ``notes`` gets why others are
+    not among them.
+    """
     image = read_grey(path)
-    found = found_markers(image, dictionary, requested)
+    found = search(image, dictionary, requested)
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(directory / f"{path.parent.name}_{path.stem}_markers.png"), drawn(image, found))
-    return found
+        cv2.imwrite(
+            str(directory / f"{path.parent.name}_{path.stem}_markers.png"), drawn(image, found.markers)
+        )
+    if found.edgeless:
+        which = " ".join(map(str, found.edgeless))
+        notes.append(f"{path.name}: left out, as no edge of ink and paper is at their corners: {which}")
+    if not found.markers:
+        notes.append(f"{path.name}: {_unread(image, dictionary, found.squares)}")
+    return found.markers
+
+
+def _unread(image: Image, dictionary: str, squares: int) -> str:
+    """What the picture shows in place of markers of ``dictionary``."""
+    told = f"no marker of {dictionary} was read; {squares} squares look like markers"
+    other = other_reading(image, dictionary, _DICTIONARIES)
+    if other is None:
+        return told
+    numbers = " ".join(map(str, other.numbers))
+    how = f" if {other.how}" if other.how else ""
+    return f"{told}: as {other.dictionary}{how} they read {numbers}"
 
 
 def _row(path: Path, marker: PictureMarker, other: list[PictureMarker]) -> tuple[str, ...]:

@@ -79,12 +79,15 @@ def to_csv(
     """One CSV file a topic, a column a number, times in nanoseconds."""
     from testbed.recordings.comparison import write_tables
 
-    rows, left_out = write_tables(file, directory)
-    for name, count in rows.items():
-        out.print(f"{directory / name}: {count} rows", highlight=False)
+    tables, left_out = write_tables(file, directory)
+    for name, made in tables.items():
+        out.print(f"{directory / name}: {made.rows} rows of {made.topic}", highlight=False, markup=False)
     if left_out:
-        out.print(f"left out, of an unknown encoding: {', '.join(left_out)}", highlight=False)
-    write_json(json_file, {"rows": rows, "left_out": left_out})
+        why = "of an unknown encoding, or whose schema is not whole"
+        out.print(f"left out, {why}: {', '.join(left_out)}", highlight=False, markup=False)
+    rows = {name: made.rows for name, made in tables.items()}
+    topics = {name: made.topic for name, made in tables.items()}
+    write_json(json_file, {"rows": rows, "topics": topics, "left_out": left_out})
 
 
 @app.command("merge", epilog="Example: longreach recording merge runs/demo --out session.mcap")

@@ -277,6 +277,14 @@ class RootGroup(LaterGroup):
             name = long_command(ctx.meta.get(_TYPED, []))
             again = f"; run again, it {LONG[name].again}" if name else ""
             _end(f"ended by Ctrl-C{again}", INTERRUPTED)
+        except (MemoryError, ImportError) as error:
+            if isinstance(error, ImportError) and "map" not in str(error):
+                raise
+            from testbed.realtime.limits import least_memory
+
+            limit = least_memory()
+            room = f"{limit.bytes // 2**20} MB available to {limit.whose}: {limit.advice}"
+            _end(f"system.memory: not enough memory ({error or 'allocation failed'}); {room}", FAILED)
         except BrokenPipeError:
             raise  # the reader of our output has gone; typer ends quietly
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Pose pairs from JSON and CSV files; recordings in time are in ``trajectories``. Format: docs/hand_eye.md.
+"""Pose pairs from JSON, YAML and CSV files, docs/hand_eye.md; recordings in time are in ``trajectories``.
 
 Whatever is wrong with a file is said in one line with the file, the sample and the offending value. Nothing
 is repaired silently: quaternions far from unit norm are normalised only when that is asked for.
@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
+from foundation.foreign_text import other_separators
 from protocol.errors import RequestRefused
 from testbed.hand_eye.pose_text import (
     UNITS,
@@ -30,6 +32,12 @@ from vision_pc.core.hand_eye.solvers.lens import checked
 from vision_pc.core.se3 import Array
 
 FORMAT = "longreach-hand-eye/1"
+_OTHER_NAMES = {
+    "effector_wrt_world": "hand",
+    "object_wrt_sensor": "camera",
+    "robot": "hand",
+    "tracking": "camera",
+}
 
 
 class ImportOptions(NamedTuple):
@@ -45,7 +53,7 @@ class ImportOptions(NamedTuple):
 
 
 def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
-    """The samples of a ``.json`` or ``.csv`` file, checked.
+    """The samples of a ``.csv``, ``.yaml`` or JSON file, checked.
 
     Raises RequestRefused (``refused.hand_eye.…``) with file and sample for anything that cannot be believed.
     """
@@ -54,22 +62,28 @@ def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
     try:
         if path.suffix.lower() == ".csv":
             return _from_csv(text, options)
-        return _from_json(text, options)
+        return _from_document(_document(text, path.suffix.lower() in (".yaml", ".yml")), options)
     except RequestRefused as error:
         raise RequestRefused(error.cause, f"{path.name}: {error}") from error
 
 
-def _from_json(text: str, options: ImportOptions) -> PosePairs:
+def _document(text: str, is_yaml: bool) -> Any:
     try:
-        data = json.loads(text)
+        return yaml.safe_load(text) if is_yaml else json.loads(text)
     except json.JSONDecodeError as error:
         raise RequestRefused("refused.hand_eye.unreadable", f"not JSON: {error}") from error
+    except yaml.YAMLError as error:
+        why = f"not YAML: {' '.join(str(error).split())}"
+        raise RequestRefused("refused.hand_eye.unreadable", why) from error
+
+
+def _from_document(data: Any, options: ImportOptions) -> PosePairs:
     if isinstance(data, list):  # MoveIt's pose samples: [[hand in base, target in camera], ...] as 4×4
         data = {"samples": [_bare_pair(pair, k) for k, pair in enumerate(data)]}
     if not isinstance(data, dict) or not isinstance(data.get("samples"), list):
-        raise RequestRefused(
-            "refused.hand_eye.format", "a list of pose pairs or an object with 'samples' is wanted"
-        )
+        has = f"has {', '.join(map(str, data))[:80]}; " if isinstance(data, dict) else ""
+        why = f"{has}a list of pose pairs or an object with 'samples', each with hand and camera, is wanted"
+        raise RequestRefused("refused.hand_eye.format", why)
     known = {
         "format", "setup", "length_unit", "marker_id", "samples",
         "camera_matrix", "distortion", "camera_covariance", "target_points_m",
@@ -88,6 +102,7 @@ def _from_json(text: str, options: ImportOptions) -> PosePairs:
             raise RequestRefused(
                 "refused.hand_eye.format", f"{where}: an object is wanted, got {type(sample).__name__}"
             )
+        sample = _own_names(sample)
         _only(sample, {"name", "hand", "camera", "settled", "marker_id", "corners_px"}, where)
         _check_flags(sample.get("settled"), sample.get("marker_id"), wanted, where)
         hands.append(_pose(sample.get("hand"), f"{where}: hand", unit, options))
@@ -98,7 +113,14 @@ def _from_json(text: str, options: ImportOptions) -> PosePairs:
     return replace(_pairs(hands, cameras, setup, names, options, corners), lens=_lens(data))
 
 
+def _own_names(sample: Mapping[str, Any]) -> dict[str, Any]:
+    """A sample of another program under our keys: MoveIt's and easy_handeye's."""
+    return {_OTHER_NAMES.get(key, key): value for key, value in sample.items()}
+
+
 def _bare_pair(pair: Any, k: int) -> dict[str, Any]:
+    if isinstance(pair, dict):
+        return pair
     if not isinstance(pair, list) or len(pair) != 2:
         raise RequestRefused("refused.hand_eye.count", f"sample {k + 1}: a pair of poses is wanted")
     return {"hand": pair[0], "camera": pair[1]}
@@ -133,6 +155,8 @@ def _check_flags(settled: Any, marker_id: Any, wanted: Any, where: str) -> None:
 
 def _pose(value: Any, where: str, unit: float, options: ImportOptions) -> Array:
     """One pose written as a 4×4 matrix or as position with quaternion, rotation vector or matrix."""
+    if isinstance(value, dict) and "translation" in value:
+        value = _ros_transform(value, where)
     if isinstance(value, dict):
         _only(value, {"p", "q_wxyz", "q_xyzw", "rotation_vector_rad", "rotation_vector_deg", "R"}, where)
         p = unit * numbers(value.get("p"), 3, f"{where} p")
@@ -142,6 +166,16 @@ def _pose(value: Any, where: str, unit: float, options: ImportOptions) -> Array:
     X = numbers(value, 16, where).reshape(4, 4)
     X[:3, 3] *= unit
     return X
+
+
+def _ros_transform(value: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """A transform of ROS under our keys: rotation x y z w."""
+    _only(value, {"translation", "rotation"}, where)
+    parts = {
+        key: [part.get(axis) for axis in axes] if isinstance(part := value.get(key), dict) else part
+        for key, axes in (("translation", "xyz"), ("rotation", "xyzw"))
+    }
+    return {"p": parts["translation"], "q_xyzw": parts["rotation"]}
 
 
 def _rotation(value: Mapping[str, Any], where: str, options: ImportOptions) -> Array:
@@ -212,6 +246,10 @@ def _pairs(
 
 def _from_csv(text: str, options: ImportOptions) -> PosePairs:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if (why := other_separators(*[*lines, "", ""][:2])) is not None:
+        raise RequestRefused("refused.hand_eye.format", why)
+    while lines and all(line.rstrip().endswith(",") for line in lines):  # empty columns of a spreadsheet
+        lines = [line.rstrip()[:-1] for line in lines]
     reader = csv.DictReader(lines, skipinitialspace=True)
     columns = [c.strip() for c in reader.fieldnames or []]
     reader.fieldnames = columns

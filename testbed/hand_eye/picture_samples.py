@@ -1,7 +1,6 @@
 """Pairs of hand and eye from pictures of a board: its views, and the poses beside them."""
 
 import json
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,10 +14,12 @@ from testbed.camera.checking import question
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import RobotPoses, file_text, numbers
 from testbed.reporting.console import Columns, listed, out
-from vision_pc.config.camera_files.reading import read_calibration
+from vision_pc.config.camera_files.reading import read_eye
 from vision_pc.config.choices import Detector, LensModel, Setup
 from vision_pc.core.hand_eye.solvers.lens import checked
 from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.board_finder import find_board, second_finders
+from vision_pc.core.perception.rectification import RawLens
 from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard, Intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
@@ -55,10 +56,7 @@ def detect(
     views, missed = [], []
     for name, image in pictures:
         try:
-            if isinstance(board, Charuco):
-                views.append(zhang.find_charuco(image, board, name))
-            else:
-                views.append(zhang.find_checkerboard(image, board, detector, name))
+            views.append(find_board(image, board, name, detector))
         except MeasurementFailed:
             missed.append(name)
     return views, tuple(missed)
@@ -98,61 +96,61 @@ def intrinsics_table(rows: Iterable[IntrinsicsRow]) -> Table:
     return listed("intrinsics by Zhang's method", columns, rows)
 
 
-_PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 _LEAST = 3
 
 
 class CameraFile(NamedTuple):
-    """A camera's lens; ``covariance`` is None where the file has none, as is ``size`` (width, height) px."""
+    """A camera's lens as Brown-Conrady; ``covariance`` is None where the file has none, as is ``size``
+    (width, height) px. ``bends``: another model's lens, whose corners are straightened first.
+    """
 
     K: Array
     distortion: Array
     covariance: Array | None
     size: tuple[int, int] | None
+    bends: RawLens | None = None
+
+    def straight(self, pixels: Array) -> Array:
+        """``pixels`` (n, 2) as a camera with ``K`` and ``distortion`` has them."""
+        if self.bends is None:
+            return pixels
+        return np.asarray(self.bends.undistorted(pixels) @ self.K[:2, :2].T + self.K[:2, 2])
 
 
-def read_camera(path: Path) -> CameraFile:
-    """The left eye of a calibration file, or the JSON of `hand-eye intrinsics`. Raises LongreachError."""
+def read_camera(path: Path, size: tuple[int, int]) -> CameraFile:
+    """The left eye of a calibration file, one camera's, or the JSON of `hand-eye intrinsics`. Raises
+    LongreachError.
+
+    ``size`` (width, height) of the pictures chooses among a ZED's and stands in where a file has none.
+    """
     if path.suffix.lower() == ".json":
-        try:
-            data = json.loads(file_text(path))
-        except json.JSONDecodeError as error:
-            raise RequestRefused("refused.hand_eye.unreadable", f"{path.name}: not JSON: {error}") from error
-        if not isinstance(data, dict) or not {"K", "distortion", "covariance"} <= set(data):
-            raise RequestRefused(
-                "refused.hand_eye.format",
-                f"{path.name}: K, distortion, covariance of `hand-eye intrinsics` are wanted",
-            )
-        lens = checked(
-            numbers(data["K"], 9, f"{path.name} K").reshape(3, 3),
-            numbers(data["distortion"], 5, f"{path.name} distortion"),
-            numbers(data["covariance"], 81, f"{path.name} covariance").reshape(9, 9),
-        )
-        return CameraFile(*lens, None)
-    found = read_calibration(path)
-    eye = found.left
+        return _read_intrinsics(path)
+    eye = read_eye(path, size)
     if eye.lens is not LensModel.BROWN_CONRADY:
+        raw = RawLens(eye.K, np.array(eye.distortion), eye.lens is LensModel.FISHEYE)
+        return CameraFile(eye.K, np.zeros(5), None, eye.size, raw)
+    distortion, of_left = np.array(eye.distortion), None
+    if eye.covariance is not None:
+        of_left = checked(eye.K, distortion, np.array(eye.covariance)[:9, :9]).covariance
+    return CameraFile(eye.K, distortion, of_left, eye.size)
+
+
+def _read_intrinsics(path: Path) -> CameraFile:
+    try:
+        data = json.loads(file_text(path))
+    except json.JSONDecodeError as error:
+        raise RequestRefused("refused.hand_eye.unreadable", f"{path.name}: not JSON: {error}") from error
+    if not isinstance(data, dict) or not {"K", "distortion", "covariance"} <= set(data):
         raise RequestRefused(
-            "refused.hand_eye.lens", f"{path.name}: lens is {eye.lens}, {LensModel.BROWN_CONRADY} is wanted"
+            "refused.hand_eye.format",
+            f"{path.name}: K, distortion, covariance of `hand-eye intrinsics` are wanted",
         )
-    K = np.array([[eye.fx_px, 0.0, eye.cx_px], [0.0, eye.fy_px, eye.cy_px], [0.0, 0.0, 1.0]])
-    distortion = np.array(eye.distortion)
-    of_left = None
-    if found.covariance is not None:
-        of_left = checked(K, distortion, np.array(found.covariance)[:9, :9]).covariance
-    return CameraFile(K, distortion, of_left, (found.width_px, found.height_px))
-
-
-def pictures_in(directory: Path) -> list[Path]:
-    """The pictures of a directory in the order of the numbers in their names. Raises RequestRefused."""
-    if not directory.is_dir():
-        raise RequestRefused("refused.hand_eye.unreadable", f"{directory}: a directory of pictures is wanted")
-    found = [path for path in directory.iterdir() if path.suffix.lower() in _PICTURES]
-    if not found:
-        raise RequestRefused("refused.hand_eye.count", f"{directory}: no picture in it")
-    return sorted(
-        found, key=lambda path: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", path.name)]
+    lens = checked(
+        numbers(data["K"], 9, f"{path.name} K").reshape(3, 3),
+        numbers(data["distortion"], 5, f"{path.name} distortion"),
+        numbers(data["covariance"], 81, f"{path.name} covariance").reshape(9, 9),
     )
+    return CameraFile(*lens, None)
 
 
 def matched(pictures: list[Path], poses: RobotPoses, where: str) -> list[tuple[Path, Array]]:
@@ -192,13 +190,20 @@ def sample_file(
     ``refused.board.counts`` where the pictures show another one.
     """
     target = _points(board)
-    samples, missed = [], []
+    samples, missed, views = [], [], []
     for path, X_BT in pairs:
-        sample = _sample(path, X_BT, camera, board, target)
-        if sample is None:
+        image = _picture(path, camera)
+        try:
+            view = find_board(image, board, path.name)
+        except MeasurementFailed:
             missed.append(path.name)
-        else:
-            samples.append(sample)
+            continue
+        views.append(view)
+        samples.append(
+            _sample(view._replace(pixels=camera.straight(view.pixels)), path, X_BT, camera, target)
+        )
+    for line in second_finders(views):
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
     question([read_grey(path) for path, _ in pairs], board, len(samples))
     if len(samples) < _LEAST:
         raise RequestRefused(
@@ -215,10 +220,8 @@ def sample_file(
     return content, missed
 
 
-def _sample(
-    path: Path, X_BT: Array, camera: CameraFile, board: Checkerboard | Charuco, target: Array
-) -> dict[str, Any] | None:
-    """A picture's entry; None where no board is seen. Raises RequestRefused for another size."""
+def _picture(path: Path, camera: CameraFile) -> Image:
+    """Raises RequestRefused for another size than the camera's."""
     image = read_grey(path)
     if camera.size is not None and image.shape != camera.size[::-1]:
         raise RequestRefused(
@@ -226,10 +229,11 @@ def _sample(
             f"{path.name}: {image.shape[1]}x{image.shape[0]} px, the calibration is of "
             f"{camera.size[0]}x{camera.size[1]}",
         )
-    try:
-        view = _find_board(image, board, path.name)
-    except MeasurementFailed:
-        return None
+    return image
+
+
+def _sample(view: BoardView, path: Path, X_BT: Array, camera: CameraFile, target: Array) -> dict[str, Any]:
+    """A picture's entry."""
     seen = {
         tuple(np.round(point, 9)): pixel
         for point, pixel in zip(view.points_m, view.pixels.tolist(), strict=True)
@@ -247,25 +251,6 @@ def _points(board: Checkerboard | Charuco) -> Array:
         return np.asarray(zhang.charuco_board(board).getChessboardCorners(), dtype=np.float64)
     y, x = np.mgrid[0 : board.rows, 0 : board.columns]
     return board.square_m * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(np.float64)
-
-
-def _find_board(image: Image, board: Checkerboard | Charuco, name: str) -> BoardView:
-    if isinstance(board, Charuco):
-        return zhang.find_charuco(image, board, name)
-    view = zhang.find_checkerboard(image, board, Detector.SECTORS, name)
-    grid = view.pixels.reshape(board.rows, board.columns, 2)
-    if (
-        board.columns + board.rows
-    ) % 2:  # half a turn would exchange black and white: the first square is black
-        turned = _grey(image, grid[:2, :2]) > _grey(image, grid[:2, 1:3])
-    else:
-        turned = grid[0, -1, 0] < grid[0, 0, 0]
-    return view._replace(pixels=view.pixels[::-1]) if turned else view
-
-
-def _grey(image: Image, corners: Array) -> float:
-    x, y = np.round(corners.reshape(-1, 2).mean(axis=0)).astype(int)
-    return float(image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].mean())
 
 
 def _pose(view: BoardView, camera: CameraFile) -> Array:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from foundation.foreign_text import read_text
 from protocol.errors import RequestRefused
 from testbed.hand_eye.pose_forms import PoseForm
 from vision_pc.core import se3
@@ -23,7 +24,7 @@ UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 def file_text(path: Path) -> str:
     """What is in the file. Raises RequestRefused when it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {error}") from error
 
@@ -71,8 +72,8 @@ def numbers(value: Any, count: int, where: str) -> Array:
     return array
 
 
-_COUNTS = {PoseForm.EULER: 6, PoseForm.UR: 6, PoseForm.KUKA: 6, PoseForm.MATRIX: 16, PoseForm.FRANKA: 16,
-           PoseForm.TUM: 8}  # fmt: skip
+_COUNTS = {PoseForm.EULER: 6, PoseForm.EULER_RAD: 6, PoseForm.UR: 6, PoseForm.KUKA: 6,
+           PoseForm.MATRIX: 16, PoseForm.FRANKA: 16, PoseForm.TUM: 8}  # fmt: skip
 _IN_MM = (PoseForm.KUKA, PoseForm.ABB)
 _AXES = "xyz"
 _ORDER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
@@ -95,13 +96,16 @@ def read_robot_poses(
     about the turned axes one after the other (intrinsic), small ones about fixed axes. Raises RequestRefused
     with file and line.
     """
-    if form is PoseForm.EULER and not (_ORDER.match(order) and order[0] != order[1] != order[2]):
+    if form in (PoseForm.EULER, PoseForm.EULER_RAD) and not (
+        _ORDER.match(order) and order[0] != order[1] != order[2]
+    ):
         raise RequestRefused(
             "refused.hand_eye.format", f"Euler order {order!r}: such as ZYX or xyz is wanted"
         )
     scale = unit_scale(unit) if unit else UNITS["mm" if form in _IN_MM else "m"]
     poses: list[Array] = []
     names: list[str | None] = []
+    widest = 0.0
     for number, line in enumerate(file_text(path).splitlines(), start=1):
         words = re.split(r"[,;\s]+", line.strip().strip("[],;"))
         if not line.strip() or line.lstrip().startswith("#"):
@@ -110,6 +114,7 @@ def read_robot_poses(
         if not poses and not any(map(_is_number, words)):
             continue  # a header
         values = numbers(words, _COUNTS.get(form, 7), f"{path.name} line {number} ({form})")
+        widest = max(widest, float(np.abs(values[3:]).max()))
         X = np.eye(4)
         p, R = _parse_pose(values, form, order, f"{path.name} line {number}", normalise)
         X[:3, :3], X[:3, 3] = R, scale * p
@@ -117,12 +122,24 @@ def read_robot_poses(
         names.append(name)
     if not poses:
         raise RequestRefused("refused.hand_eye.count", f"{path.name}: no pose in it")
+    if form is PoseForm.EULER:
+        _question_degrees(widest, path.name)
     if any(name is None for name in names) and any(names):
         raise RequestRefused(
             "refused.hand_eye.format", f"{path.name}: some lines name a picture, some do not"
         )
     told = tuple(str(name) for name in names)
     return RobotPoses(np.stack(poses), told if names[0] is not None else None)
+
+
+def _question_degrees(widest: float, where: str) -> None:
+    """Raise RequestRefused where the widest of all angles is no more than a turn in radians."""
+    if widest <= 2.0 * math.pi:
+        raise RequestRefused(
+            "refused.hand_eye.units",
+            f"{where}: no angle is larger than {widest:.3g}, degrees are wanted; are they radians? Then "
+            f"--poses {PoseForm.EULER_RAD} reads them",
+        )
 
 
 def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: bool) -> tuple[Array, Array]:
@@ -141,8 +158,8 @@ def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: boo
         return v[:3], rotation_of_vector(v[3:], where)
     if form is PoseForm.KUKA:
         return v[:3], _euler(np.radians(v[3:]), "ZYX")
-    if form is PoseForm.EULER:
-        return v[:3], _euler(np.radians(v[3:]), order)
+    if form in (PoseForm.EULER, PoseForm.EULER_RAD):
+        return v[:3], _euler(v[3:] if form is PoseForm.EULER_RAD else np.radians(v[3:]), order)
     q = v[3:] if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else v[[6, 3, 4, 5]]
     return v[:3], rotation_of_quaternion(q, where, normalise)
 

@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
 from testbed.hand_eye.pose_text import file_text, rotation_of_quaternion
+from testbed.reporting.console import out
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
 from vision_pc.core.se3 import Array
+from vision_pc.shell.cameras.capture_times import unix_seconds
 
+_SAME_S = 1e-5  # two stamps of one moment, whatever the clock counts from: a double's step is 2e-7 s in 2026
 _RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses
 
 
@@ -45,7 +48,8 @@ class PairingOptions(NamedTuple):
 
 
 def load_tum(path: Path, normalise: bool = False) -> Trajectory:
-    """A trajectory file: lines ``t x y z qx qy qz qw`` (s, m), blanks or commas between, ``#`` comments.
+    """A trajectory file: lines ``t x y z qx qy qz qw`` (s or a Unix time of any unit, m), blanks or commas
+    between, ``#`` comments.
 
     Lines are put in order of time, and of lines with the same time the first is kept. Raises RequestRefused
     naming the line.
@@ -71,7 +75,10 @@ def load_tum(path: Path, normalise: bool = False) -> Trajectory:
         raise RequestRefused(
             "refused.hand_eye.count", f"{path.name}: {len(times)} poses, at least 3 are needed"
         )
-    time_s, first = np.unique(np.array(times), return_index=True)
+    found_s, unit = unix_seconds(np.array(times))
+    if unit != "seconds":
+        out.print(f"{path.name}: its times are taken for {unit}", highlight=False, soft_wrap=True)
+    time_s, first = np.unique(found_s, return_index=True)
     return Trajectory(time_s, np.stack(poses)[first])
 
 
@@ -90,8 +97,10 @@ def pair(
     times = camera.time_s + offset
     after = np.clip(np.searchsorted(hand.time_s, times), 1, len(hand.time_s) - 1)
     width = hand.time_s[after] - hand.time_s[after - 1]
-    exact = np.isclose(times, hand.time_s[after]) | np.isclose(times, hand.time_s[after - 1])
-    usable = (times >= hand.time_s[0]) & (times <= hand.time_s[-1]) & ((width <= pairing.gap_s) | exact)
+    exact = np.minimum(np.abs(times - hand.time_s[after]), np.abs(times - hand.time_s[after - 1])) < _SAME_S
+    usable = (
+        (times >= hand.time_s[0]) & (times <= hand.time_s[-1]) & ((width <= pairing.gap_s + _SAME_S) | exact)
+    )
     if usable.sum() < 3:
         raise RequestRefused(
             "refused.hand_eye.count",

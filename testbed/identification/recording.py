@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foundation.configuration import StrictModel, validated
+from foundation.foreign_text import decoded, other_separators
 from plant_emulator.config.actuators import BAR
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from protocol.errors import ConfigurationError
@@ -114,7 +115,7 @@ def read_recording(path: Path) -> MotionRecording:
     """
     try:
         data = path.read_bytes()
-        lines = data.decode().splitlines()
+        lines = [_without_empty_cells(line) for line in decoded(data).splitlines()]
     except OSError as error:
         raise ConfigurationError("recording.unreadable", f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -126,6 +127,8 @@ def read_recording(path: Path) -> MotionRecording:
         raise ConfigurationError("recording.not_one", f"{path}: the first line is not '# {FIRST_LINE}'")
     about = _about("\n".join(header[1:]), path)
     body = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
+    if (why := other_separators(*(line for _, line in [*body, (0, ""), (0, "")][:2]))) is not None:
+        raise ConfigurationError("recording.separators", f"{path}: {why}")
     names, order = _order(body[0][1] if body else "", path)
     table = np.array([_numbers(line, number, names, path) for number, line in body[1:]])
     table = table.reshape(len(table), len(names))[:, order]
@@ -141,6 +144,11 @@ def read_recording(path: Path) -> MotionRecording:
         oil[:, 0],
         hashlib.sha256(data).hexdigest(),
     )
+
+
+def _without_empty_cells(line: str) -> str:
+    """A comment without the empty cells that a spreadsheet puts behind it; other lines as they are."""
+    return line.strip('"').rstrip(',;\t" ') if line.lstrip('"').startswith("#") else line
 
 
 def _about(text: str, path: Path) -> About:

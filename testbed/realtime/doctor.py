@@ -1,6 +1,7 @@
 """What `longreach doctor` finds out: whether this machine and this configuration can run the testbed."""
 
 import importlib.metadata
+import math
 import os
 import platform
 import re
@@ -14,8 +15,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import psutil
-
 from foundation.configuration import configuration_hash
 from foundation.secret_source import read_key
 from nominal_arm.description import NominalArm
@@ -24,6 +23,7 @@ from protocol.errors import ConfigurationError
 from protocol.faults import Reason
 from protocol.session_events import Connected, ConnectionDelayed, SessionLost
 from testbed.realtime.launch import PortUse
+from testbed.realtime.limits import cores_of_container, least_memory
 from vision_pc.config.vision import LinkSettings
 
 Verdict = Literal["ok", "warning", "failed"]
@@ -83,9 +83,10 @@ def versions_check(lock: Path) -> HealthCheck:
 
 def cores_check() -> HealthCheck:
     """How many cores this process may use, and how busy the machine is."""
-    cores = len(os.sched_getaffinity(0))
+    quota = cores_of_container()
+    cores = min(len(os.sched_getaffinity(0)), quota or math.inf)
     load = os.getloadavg()[0]
-    found = f"{cores} usable, load {load:.2f}"
+    found = f"{cores:g} usable{' to this container' if cores == quota else ''}, load {load:.2f}"
     if cores < WANTED_CORES:
         return HealthCheck(
             "cores", "warning", found, f"{WANTED_CORES} are wanted for real time; use demo --lockstep"
@@ -96,15 +97,12 @@ def cores_check() -> HealthCheck:
 
 
 def memory_check() -> HealthCheck:
-    """How much memory can be had."""
-    available_mb = psutil.virtual_memory().available // 2**20
+    """How much memory can be had: the least of machine, container and process."""
+    limit = least_memory()
+    available_mb = limit.bytes // 2**20
     good = available_mb >= WANTED_MEMORY_MB
-    return HealthCheck(
-        "memory",
-        "ok" if good else "warning",
-        f"{available_mb} MB available",
-        "" if good else "close something",
-    )
+    found = f"{available_mb} MB available to {limit.whose}"
+    return HealthCheck("memory", "ok" if good else "warning", found, "" if good else limit.advice)
 
 
 def disk_check(runs: Path) -> HealthCheck:

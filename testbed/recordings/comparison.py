@@ -1,9 +1,13 @@
 """What was recorded beside what comes out again: to the last bit, or within a limit, and where they part."""
 
 import csv
+import errno
 import math
+import os
+import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,18 +18,46 @@ from foundation.recording.messages import format_of
 from foundation.recording.recovery import contents
 from vision_pc.shell.recording import vision_messages as own
 
+_NO_NAME = re.compile(r"[^\w .+@\-]")  # signs that some file system does not have in names
+_LONGEST_NAME = 200
 TIMES = ("log_time_ns", "publish_time_ns")
 
 
-def write_tables(source: Path, directory: Path) -> tuple[dict[str, int], list[str]]:
-    """Write ``directory``/TOPIC.csv for every topic of ``source``; return rows by file, and topics left out
-    because their encoding is not known.
+class TopicTable(NamedTuple):
+    """A table that was written: its ``topic`` and how many ``rows`` it has."""
 
-    What a message does not have is an empty cell. Raises FileExistsError where a file is there.
+    topic: str
+    rows: int
+
+
+def table_names(topics: Mapping[int, str]) -> dict[int, str]:
+    """A file's name for each channel, by its topic; no two are alike, also where case does not count."""
+    names: dict[int, str] = {}
+    taken: set[str] = set()
+    for channel, topic in topics.items():
+        stem = _NO_NAME.sub("_", topic.strip("/").replace("/", "_"))[:_LONGEST_NAME].strip(".") or "topic"
+        name = next(
+            name for k in count(1) if (name := stem if k == 1 else f"{stem}_{k}").lower() not in taken
+        )
+        taken.add(name.lower())
+        names[channel] = f"{name}.csv"
+    return names
+
+
+def write_tables(source: Path, directory: Path) -> tuple[dict[str, TopicTable], list[str]]:
+    """Write ``directory``/TOPIC.csv for every topic of ``source``; return tables by file, and topics left out
+    because their encoding is not known or their schema is not whole.
+
+    What a message does not have is an empty cell. Raises FileExistsError, before anything is written, where a
+    file is there.
     """
     found = contents(source)
+    names = table_names({channel: topic.name for channel, topic in found.topics.items()})
+    for name in names.values():
+        if (directory / name).exists():
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(directory / name))
     directory.mkdir(parents=True, exist_ok=True)
-    rows, left_out = {}, []
+    tables, left_out = {}, []
     for channel, topic in found.topics.items():
         decode = decoder(topic.format)
         if decode is None:
@@ -36,7 +68,7 @@ def write_tables(source: Path, directory: Path) -> tuple[dict[str, int], list[st
             for record in walk(stream):
                 if isinstance(record, Message) and record.channel_id == channel:
                     columns |= dict.fromkeys(decode(record.data))
-        path = directory / f"{topic.name.strip('/').replace('/', '_')}.csv"
+        path = directory / names[channel]
         with path.open("x", newline="", encoding="utf-8") as file, source.open("rb") as stream:
             table = csv.DictWriter(file, [*TIMES, *columns])
             table.writeheader()
@@ -44,8 +76,8 @@ def write_tables(source: Path, directory: Path) -> tuple[dict[str, int], list[st
                 if isinstance(record, Message) and record.channel_id == channel:
                     times = dict(zip(TIMES, (record.log_time, record.publish_time), strict=True))
                     table.writerow(times | decode(record.data))
-        rows[path.name] = found.counts.get(channel, 0)
-    return rows, left_out
+        tables[path.name] = TopicTable(topic.name, found.counts.get(channel, 0))
+    return tables, left_out
 
 
 ALIKE = 1e-9  # of other versions or another processor: m, rad, px

@@ -150,14 +150,15 @@ def _new_directory(runs: Path) -> Path:
 
 
 def all_runs(runs: Path) -> list[KeptRun]:
-    """The runs below ``runs``, the newest first; nothing else that is there.
+    """The runs below ``runs``, the newest first by when they began; nothing else that is there.
 
     Raises ConfigurationError where there is no such directory.
     """
     if not runs.is_dir():
         raise ConfigurationError("runs.no_directory", f"{runs}: no such directory; --out names another")
     found = (path for path in runs.iterdir() if path.is_dir() and _STAMP.fullmatch(path.name))
-    return [record.read(path) for path in sorted(found, key=lambda path: path.name, reverse=True)]
+    kept = map(record.read, found)
+    return sorted(kept, key=lambda run: (run.began, run.directory.name), reverse=True)
 
 
 def one_run(runs: Path, name: str) -> KeptRun:

@@ -18,6 +18,7 @@ from testbed.scenarios.scenario import Settings, load_settings
 
 RECORD_FILE = "run.json"
 FORMAT = 1
+_UTC = "%Y-%m-%dT%H:%M:%SZ"
 LIBRARIES = (
     "longreach",
     "numpy",
@@ -41,6 +42,15 @@ class KeptRun(NamedTuple):
     def command(self) -> str:
         """The command line, as typed in a shell."""
         return " ".join(self.facts.get("command", ())) or "–"
+
+    @property
+    def began(self) -> str:
+        """When it began, UTC; by its directory's name, a local time, where no record says."""
+        told = self.facts.get("began")
+        if isinstance(told, str):
+            return told
+        local_s = time.mktime(time.strptime(self.directory.name[: len("20260101-000000")], "%Y%m%d-%H%M%S"))
+        return time.strftime(_UTC, time.gmtime(local_s))
 
     @property
     def code(self) -> str:
@@ -76,7 +86,7 @@ def beginning() -> dict[str, Any]:
     return {
         "format": FORMAT,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "began": time.strftime(_UTC, time.gmtime()),
         "process": os.getpid(),
         "version": library_versions()["longreach"],
         "commit": commit,

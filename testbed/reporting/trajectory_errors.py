@@ -9,10 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from foundation.foreign_text import read_text
 from protocol.errors import ConfigurationError
+from testbed.reporting.console import out
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
+from vision_pc.shell.cameras.capture_times import unix_seconds
 
 _FEWEST = 3
 _PIECES = 10  # drift is over pieces of 10 m, or of a tenth of a shorter way
@@ -35,11 +38,13 @@ class TrajectoryErrors(NamedTuple):
 
 
 def read_tum(path: Path) -> tuple[Array, Array]:
-    """Times (n,) s, rising, and poses (n, 4, 4) of a TUM file. Raises ConfigurationError."""
+    """Times (n,) s, rising, and poses (n, 4, 4) of a TUM file, Unix times of any unit. Raises
+    ConfigurationError.
+    """
     try:
-        rows = np.loadtxt(path, ndmin=2)
+        rows = np.loadtxt(read_text(path).splitlines(), ndmin=2)
     except OSError as error:
-        raise ConfigurationError("configuration.unreadable", f"{path}: {error}") from error
+        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
     except ValueError as error:
         raise ConfigurationError("configuration.bad_trajectory", f"{path}: {error}") from error
     if rows.shape[1] != 8 or not np.isfinite(rows).all() or (np.linalg.norm(rows[:, 4:], axis=1) < 0.5).any():
@@ -51,7 +56,10 @@ def read_tum(path: Path) -> tuple[Array, Array]:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, 3] = rows[:, 1:4]
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
-    return rows[:, 0], poses
+    times_s, unit = unix_seconds(rows[:, 0])
+    if unit != "seconds":
+        out.print(f"{path}: its times are taken for {unit}", highlight=False, soft_wrap=True)
+    return times_s, poses
 
 
 def trajectory_errors(

@@ -1,6 +1,7 @@
 """`longreach sniff`: captures read, datagrams spoken, unsound ones named with their cause."""
 
 import json
+import struct
 from pathlib import Path
 
 import pytest
@@ -119,3 +120,24 @@ def test_the_sample_holds_a_session_from_hello_to_bye() -> None:
     kinds = [line.split(" seq=")[0].rpartition(" ")[2] for line in told.splitlines()]
     assert (kinds[0], kinds[-1]) == ("Hello", "Bye")
     assert {"Welcome", "Command", "Acknowledgement", "ReferencePose", "State"} <= set(kinds)
+
+
+@pytest.mark.parametrize(
+    ("link", "head"),
+    [
+        (113, struct.pack(">HHH8sH", 0, 1, 6, bytes(8), 0x0800)),
+        (276, struct.pack(">HHIHBB8s", 0x0800, 0, 2, 1, 0, 6, bytes(8))),
+        (228, b""),
+    ],
+)
+def test_captures_of_all_interfaces_are_read_as_those_of_one(tmp_path: Path, link: int, head: bytes) -> None:
+    path = tmp_path / "any.pcap"
+    write_pcap(path, [DATAGRAMS[0]])
+    content = path.read_bytes()
+    packet = head + content[40 + 14 :]  # without the Ethernet frame
+    sizes = content[24:32] + struct.pack("<2I", len(packet), len(packet))
+    path.write_bytes(content[:20] + struct.pack("<I", link) + sizes + packet)
+    assert [each.data for each in from_file(path)] == [DATAGRAMS[0]]
+    path.write_bytes(content[:20] + struct.pack("<I", 147) + content[24:])
+    with pytest.raises(ConfigurationError, match="link type 147 is not known here, 0, 1, 101, 113, 228, 276"):
+        list(from_file(path))

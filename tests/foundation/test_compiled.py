@@ -181,3 +181,17 @@ def test_every_kernel_is_compiled_here() -> None:
             }
             if path != ROOT / "foundation" / "compiled.py":
                 assert not names & {"njit", "jit", "vectorize", "guvectorize"}, path
+
+
+def test_without_a_home_nothing_is_kept_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    """A user without a name, as in many containers: `~` is no directory."""
+    code = "from foundation.compiled import cache_root; print(cache_root())"
+    known = {"PATH": os.environ["PATH"], "HOME": "~", "PYTHONPATH": str(Path(__file__).parents[2])}
+    made = [
+        subprocess.run(
+            [sys.executable, "-c", code], env=known | more, cwd=tmp_path, capture_output=True, text=True
+        )
+        for more in ({}, {"XDG_CACHE_HOME": "/var/cache/mine"})
+    ]
+    assert [each.stdout.strip() for each in made] == ["None", "/var/cache/mine/longreach/kernels"]
+    assert list(tmp_path.iterdir()) == []

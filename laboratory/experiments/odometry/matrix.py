@@ -37,7 +37,7 @@ from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs
-from vision_pc.shell.cameras.sequence_calibration import read_calibration
+from vision_pc.shell.cameras.sequence_calibration import recorded_camera
 
 _NAN = float("nan")
 _EVERY = (*KINDS, *OPEN_KINDS, *REAL_KINDS)
@@ -125,7 +125,7 @@ def _follow(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequence
         try:
             return follow_pairs(
                 lambda: made.pairs,
-                lambda pair: SegmentedOdometry(read_calibration(path, pair), settings),
+                lambda pair: SegmentedOdometry(recorded_camera(path, pair).camera, settings),
                 tool_at=lambda pair: made.arm.get(pair.frame_id),
             ), ""
         except LongreachError as error:
@@ -162,7 +162,7 @@ def _peer(config_dir: Path, config: VisionConfig, made: Sequence) -> _Peer:
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
         _write(path, made.stated)
-        camera: CameraCalibration = read_calibration(path, made.pairs[0])
+        camera: CameraCalibration = recorded_camera(path, made.pairs[0]).camera
     found = orb_slam3.follow_apart(camera, _words(config_dir), made.pairs)
     off, worst = gross([(pose.frame_id, pose.X_C0C) for pose in found.poses], made.X_C0C)
     return _Peer(

@@ -188,3 +188,27 @@ async def test_a_busy_port_is_named(port: ReferencePort) -> None:
         ReferencePort(server, config, EventLog("controller", io.StringIO()))
     assert caught.value.cause == "configuration.port_busy"
     assert str(number) in str(caught.value)
+
+
+async def test_answers_leave_from_the_address_that_was_asked() -> None:
+    """On a host with two: a client with a connected socket would not see others, all through its session."""
+    server = ReferenceServer(boot_id=1, arm_hash=2, cycle_ns=5_000_000, link_timeout_ms=TIMEOUT_MS)
+    config = ReferenceLinkConfig(host="0.0.0.0", port=0, link_timeout_ms=TIMEOUT_MS)
+    port = ReferencePort(server, config, EventLog("controller", io.StringIO()))
+    port.open()
+    peer = Peer(("127.0.0.2", port.address[1]), 2)
+    strangers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(70)]
+    try:
+        await peer.connect()
+        for stranger in strangers:  # more than addresses are remembered of
+            stranger.sendto(b"nothing", ("127.0.0.1", port.address[1]))
+            stranger.close()
+        for _ in range(12):
+            _take(port)
+        port.server.close(time.monotonic_ns(), Reason.SHUTDOWN)
+        port.publish((), None, time.monotonic_ns())  # type: ignore[arg-type] - no session is left
+        await peer.turn()
+        assert any(isinstance(e, SessionLost) and e.reason is Reason.SHUTDOWN for e in peer.events)
+    finally:
+        peer.socket.close()
+        port.close()

@@ -375,3 +375,27 @@ def test_a_configured_host_is_a_name_alone(name: str) -> None:
     assert _Names(hosts=("vision", "vision-pc.cell", "10.0.0.7")).hosts[0] == "vision"
     with pytest.raises(ValidationError):
         _Names(hosts=(name,))
+
+
+async def test_head_is_answered_as_get_without_a_body_and_ends_streams_too() -> None:
+    """Load balancers, monitors and ``wget --spider`` ask so; a stream's HEAD must not last for ever."""
+    sent: list[Any] = []
+    asked: list[str] = []
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    async def stream(scope: Any, receive: Any, send: Any) -> None:
+        asked.append(scope["method"])
+        await send({"type": "http.response.start", "status": 503, "headers": [(b"content-length", b"4")]})
+        for _ in range(3):
+            await send({"type": "http.response.body", "body": b"more", "more_body": True})
+
+    scope = {
+        "type": "http", "method": "HEAD", "path": "/health", "scheme": "http", "server": ("127.0.0.1", 8000),
+        "headers": [(b"host", b"127.0.0.1")],
+    }  # fmt: skip
+    await AccessGuard(stream, ANYBODY_HERE, RefusalLog(None))(scope, lambda: None, send)  # type: ignore[arg-type,return-value]
+    assert asked == ["GET"]
+    assert (sent[0]["status"], sent[0]["headers"][0]) == (503, (b"content-length", b"4"))
+    assert sent[1:] == [{"type": "http.response.body", "body": b"", "more_body": False}]

@@ -49,7 +49,7 @@ WRONG = (  # command, cause, what the line says beside it
     ("camera emulate", "usage.missing", "'--out'"),
     ("hand-eye solve {file}", "refused.hand_eye.unreadable", "not JSON"),
     ("hand-eye solve {file} --method best", "usage.bad_value", "'tsai', 'park'"),
-    ("hand-eye intrinsics {file}", "refused.intrinsics.unreadable", "not a picture"),
+    ("hand-eye intrinsics {file}", "configuration.bad_recording", "no picture"),
     ("hand-eye session list --url nonsense", "link.rest", "nonsense"),
     ("commission --joints slw --out {tmp}/b", "configuration.unknown_joint", "known: slew, lift"),
     ("identify", "usage.missing", "'RECORDING'"),

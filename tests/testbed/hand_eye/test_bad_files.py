@@ -151,7 +151,7 @@ BAD_FILES = (
     BadFile("a word in a pose", _set("samples", 2, _CAMERA, 0, 3, value="x"), _REFUSED + "format", "s3"),
     BadFile("a sample twice", _sample_twice, _REFUSED + "duplicate", "the same sample twice"),
     BadFile("a camera that did not follow", _still_camera, _REFUSED + "stale_camera", "s3 and s4"),
-    BadFile("CSV with semicolons", _semicolons, _REFUSED + "format", "unknown key", suffix=".csv"),
+    BadFile("CSV with semicolons", _semicolons, _REFUSED + "format", "semicolons stand", suffix=".csv"),
     BadFile("an unknown unit", _set("length_unit", value="inch"), _REFUSED + "units", "'inch'"),
     BadFile("an unknown setup", _set("setup", value="eye-on-base"), _REFUSED + "format", "'eye-on-base'"),
     BadFile("hand in mm", _with(_HAND, _lengths(1e3)), _REFUSED + "units", "in millimetres?"),

@@ -136,3 +136,25 @@ def test_every_piece_goes_as_far_one_way_as_the_other(kind: Any) -> None:
     assert np.abs(table[:, [0, 2]].sum(axis=0)).max() < 1e-9
     assert 0.1 < np.abs(table[:, [0, 2]]).max() <= 0.2 + 1e-12
     assert not table[:, [1, 3, 4, 5]].any()
+
+
+def test_what_a_spreadsheet_saves_is_read_or_named(recorded: MotionRecording, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_recording(path, recorded)
+    lines = path.read_text().splitlines()
+    columns = len(lines[-1].split(","))
+    about = [line for line in lines if line.startswith("#")]
+    rows = lines[len(about) :]
+    saved = "\r\n".join([*(line + "," * (columns - 1) for line in about), *rows])
+    path.write_text(saved, encoding="utf-8-sig")
+    assert read_recording(path).about == recorded.about
+    german = [
+        *(line + ";" * (columns - 1) for line in about),
+        *(r.replace(",", ";").replace(".", ",") for r in rows),
+    ]
+    path.write_text("\r\n".join(german))
+    with pytest.raises(
+        ConfigurationError, match="semicolons stand between columns, and decimal commas"
+    ) as error:
+        read_recording(path)
+    assert error.value.cause == "recording.separators"

@@ -141,3 +141,14 @@ def test_two_runs_are_compared_by_what_made_them_settings_and_stages(tmp_path: P
     assert [row["key"] for row in document["facts"]] == ["seed"]
     assert document["settings"] == [{"key": "arm.d", "first": "2.0", "second": "–"}]
     assert document["stages"][0]["first"] == "+1.00 -2.00 –"
+
+
+def test_the_newest_run_is_the_one_that_began_last_whatever_the_clock_called_it(tmp_path: Path) -> None:
+    """In the hour that clocks show twice, a later run has an earlier name."""
+    made(tmp_path, "20261025-023000", began="2026-10-25T00:30:00Z")
+    made(tmp_path, "20261025-021000", began="2026-10-25T01:10:00Z")
+    (tmp_path / "20250101-000000").mkdir()  # no record: by its name
+    assert [run.directory.name[-6:] for run in all_runs(tmp_path)] == ["021000", "023000", "000000"]
+    assert one_run(tmp_path, "last").directory.name == "20261025-021000"
+    asked("clean", "--keep", "1", "--yes", "--out", str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["20261025-021000"]

@@ -3,11 +3,14 @@
 All files here are written from the formats' descriptions, for one camera whose eyes are known.
 """
 
+import json
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from foundation.configuration import load, parse_overrides
 from protocol.errors import ConfigurationError
@@ -16,6 +19,7 @@ from vision_pc.config.camera_files.reading import read_calibration, read_calibra
 from vision_pc.config.choices import LensModel
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.config.vision import VisionConfig
+from vision_pc.core.perception.rectification import rectified_camera
 
 SIZE = (1280, 720)
 K1 = np.array([[700.1, 0.0, 641.2], [0.0, 699.4, 355.7], [0.0, 0.0, 1.0]])
@@ -172,7 +176,9 @@ def test_two_camera_infos_of_ros(tmp_path: Path) -> None:
     left, right = camera_infos()
     paths = [write(tmp_path / "left.yaml", left), write(tmp_path / "right.yaml", right)]
     check(read_calibrations(paths))
-    with pytest.raises(ConfigurationError, match=r"left\.yaml: projection_matrix.*; likely the left"):
+    with pytest.raises(
+        ConfigurationError, match=r"right\.yaml: projection_matrix.*is it the right eye's file"
+    ):
         read_calibrations(paths[::-1])
     with pytest.raises(ConfigurationError, match="one eye, both are wanted: longreach camera convert"):
         read_calibration(paths[0])
@@ -310,3 +316,83 @@ def test_a_file_for_another_size_says_both(tmp_path: Path) -> None:
     asked[1] = "vision.camera.width_px=1000"
     with pytest.raises(ConfigurationError, match="no ZED takes pictures of 1000x1080 px"):
         load(VisionConfig, VISION_YAML, parse_overrides(asked)["vision"])
+
+
+def test_thin_prism_is_refused_in_every_form(tmp_path: Path) -> None:
+    zed = ZED.replace("k1=", "s1=0.002\nk1=")
+    assert zed != ZED
+    left, right = camera_infos()
+    bent = left.replace("plumb_bob", "rational_polynomial")
+    data = ", ".join(["0.1"] * 8 + ["0.002", "0", "0", "0"])
+    bent = re.sub(r"(distortion_coefficients:.*?data: )\[[^]]*\]", rf"\1[{data}]", bent, flags=re.S)
+    for paths in (
+        [write(tmp_path / "SN.conf", zed)],
+        [write(tmp_path / "left.yaml", bent), write(tmp_path / "right.yaml", right)],
+    ):
+        with pytest.raises(ConfigurationError, match=r"thin prism and tilted sensor .* are not modelled"):
+            read_calibrations(paths, SIZE)
+
+
+def test_both_eyes_with_one_projection_matrix_are_asked_about(tmp_path: Path) -> None:
+    _, right = camera_infos()
+    paths = [write(tmp_path / "left.yaml", right), write(tmp_path / "right.yaml", right)]
+    with pytest.raises(ConfigurationError, match=r"left\.yaml: projection_matrix\[3\] = -.*: 0 is wanted"):
+        read_calibrations(paths)
+
+
+def test_what_topics_print_is_read_with_the_dashes_behind_it(tmp_path: Path) -> None:
+    check(
+        read_calibrations(
+            [write(tmp_path / f"{k}.yaml", text + "---\n") for k, text in enumerate(camera_infos())]
+        )
+    )
+
+
+def test_a_fisheye_that_says_so_as_a_camera_model_is_one(tmp_path: Path) -> None:
+    texts = [
+        re.sub(r"distortion_coefficients: {.*?}", "distortion_coefficients: {data: [0.176, -0.032, 0, 0]}",
+               text.replace("distortion_model: plumb_bob", "camera_model: fisheye"), flags=re.S)
+        for text in camera_infos()
+    ]  # fmt: skip
+    found = read_calibrations([write(tmp_path / f"{k}.yaml", text) for k, text in enumerate(texts)])
+    assert found.left.lens is LensModel.FISHEYE
+
+
+@pytest.mark.parametrize("form", ["T_imu_cam", "T_cam_imu", "T_BS"])
+def test_the_right_eye_follows_from_both_poses_to_the_inertial_unit(tmp_path: Path, form: str) -> None:
+    X_IL = np.eye(4)
+    X_IL[:3, :3], X_IL[:3, 3] = cv2.Rodrigues(np.array([0.3, -1.1, 0.7]))[0], (0.02, -0.06, 0.01)
+    X_RL = np.eye(4)
+    X_RL[:3, :3], X_RL[:3, 3] = R, T.ravel()
+    poses = [X_IL, X_IL @ np.linalg.inv(X_RL)]
+    cameras = []
+    for K, D, X in zip((K1, K2), (D1, D2), poses, strict=True):
+        given = np.linalg.inv(X) if form == "T_cam_imu" else X
+        cameras.append({"camera_model": "pinhole", "resolution": list(SIZE), form: given.tolist(),
+                        "intrinsics": [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]})  # fmt: skip
+        radial = [float(value) for value in D[:4]]
+        if form == "T_BS":
+            cameras[-1] |= {"distortion_model": "radial-tangential", "distortion_coefficients": radial}
+        else:
+            cameras[-1] |= {"distortion_model": "radtan", "distortion_coeffs": radial}
+    cameras = [yaml.safe_load(json.dumps(camera, default=float)) for camera in cameras]
+    if form == "T_BS":
+        paths = [write(tmp_path / f"cam{k}.yaml", yaml.safe_dump(camera)) for k, camera in enumerate(cameras)]
+    else:
+        chain = "%YAML:1.0\n\n" + yaml.safe_dump({f"cam{k}": camera for k, camera in enumerate(cameras)})
+        paths = [write(tmp_path / "chain.yaml", chain)]
+    check(read_calibrations(paths), ((*D1[:4], 0.0), (*D2[:4], 0.0)))
+
+
+def test_a_fisheye_wider_than_a_pinhole_shows_is_read(tmp_path: Path) -> None:
+    """165 degrees across: the corners lie beyond 88 degrees from the axis; no fold."""
+    eye = "  camera_model: pinhole\n  distortion_model: equidistant\n  resolution: [848, 800]\n"
+    lens = "  intrinsics: [282.0, 280.7, 416.0, 396.7]\n  distortion_coeffs: [-0.0032, 0.0541, -0.0517, {}]\n"
+    beside = "  T_cn_cnm1: [[1, 0, 0, -0.0637], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+    text = f"cam0:\n{eye}{lens}cam1:\n{eye}{lens}{beside}"
+    wide = read_calibration(write(tmp_path / "wide.yaml", text.replace("{}", "0.0108")))
+    camera = rectified_camera(wide)
+    assert 0.5 * 282.0 <= camera.left.K[0, 0] < 282.0  # of a smaller one nothing is left to see
+    folded = read_calibration(write(tmp_path / "folded.yaml", text.replace("{}", "-0.08")))
+    with pytest.raises(ConfigurationError, match="folds over"):
+        rectified_camera(folded)

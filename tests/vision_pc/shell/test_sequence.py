@@ -66,30 +66,11 @@ def test_sequence_is_followed_and_written(
 def test_calibrations_agree(camera: CameraCalibration, tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
     blank = np.zeros((720, 1280), np.uint8)
-    found = sequence_calibration.read_calibration(tmp_path / name, StereoPair(blank, blank, 0, 0))
+    found = sequence_calibration.recorded_camera(tmp_path / name, StereoPair(blank, blank, 0, 0)).camera
     assert (found.width, found.height) == (1280, 720)
     for ours, theirs in ((camera.left, found.left), (camera.right, found.right)):
         np.testing.assert_allclose(theirs.K, ours.K)
         np.testing.assert_allclose(theirs.X_CE, ours.X_CE)
-
-
-def test_times_come_from_the_table_beside(tmp_path: Path) -> None:
-    blank = StereoPair(np.zeros((8, 8), np.uint8), np.zeros((8, 8), np.uint8), 0, 0)
-    left, right = written(tmp_path, [blank] * 3, ["000000", "000001", "000002"])
-    assert [pair.capture_ns for pair in sequence.read_pairs(left, right, 20.0)] == [
-        0,
-        50_000_000,
-        100_000_000,
-    ]
-    (tmp_path / "times.txt").write_text("0.0\n1.5e-01\n2.5e-01\n", encoding="ascii")
-    assert [pair.capture_ns for pair in sequence.read_pairs(left, right, 20.0)] == [
-        0,
-        150_000_000,
-        250_000_000,
-    ]
-    (tmp_path / "times.txt").write_text("0.0\n", encoding="ascii")
-    with pytest.raises(ConfigurationError, match="1 times for 3 pictures"):
-        next(sequence.read_pairs(left, right, 20.0))
 
 
 def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None:
@@ -97,7 +78,7 @@ def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None
     left, right = written(tmp_path, [blank] * 2, ["0", "1"])
     calibration = tmp_path / "calib.txt"
     with pytest.raises(ConfigurationError, match="no such directory"):
-        next(sequence.read_pairs(left, tmp_path / "nowhere", 10.0))
+        sequence.Recorded(left, tmp_path / "nowhere", calibration).files()
     with pytest.raises(ConfigurationError, match=r"calib\.txt"):
         sequence.follow(sequence.Recorded(left, right, calibration), config)
     calibration.write_text("P0: 1 2 3\n", encoding="ascii")
@@ -106,9 +87,6 @@ def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None
     calibration.write_text(KITTI, encoding="ascii")
     with pytest.raises(MeasurementFailed, match="all 2 pairs lost, last cause too_dark"):
         sequence.follow(sequence.Recorded(left, right, calibration), config)
-    (right / "1.png").unlink()
-    with pytest.raises(ConfigurationError, match="2 pictures, but 1"):
-        next(sequence.read_pairs(left, right, 10.0))
 
 
 @pytest.mark.parametrize(
@@ -122,7 +100,7 @@ def test_a_calibration_for_another_size_is_named(tmp_path: Path, text: str, word
     (tmp_path / "camera.yaml").write_text(text, encoding="utf-8")
     blank = np.zeros((480, 752), np.uint8)
     with pytest.raises(ConfigurationError, match=words) as refused:
-        sequence_calibration.read_calibration(tmp_path / "camera.yaml", StereoPair(blank, blank, 0, 0))
+        sequence_calibration.recorded_camera(tmp_path / "camera.yaml", StereoPair(blank, blank, 0, 0))
     assert refused.value.cause == "configuration.wrong_size"
 
 

@@ -22,12 +22,15 @@ _SQUARE = 2e-3  # how far a printed rotation may be from a rotation
 
 
 class Pinhole(NamedTuple):
-    """One eye as a file has it: ``K`` (3, 3) px, its lens and coefficients, picture size."""
+    """One eye as a file has it: ``K`` (3, 3) px, its lens and coefficients, picture size, and where it is
+    known the covariance of both eyes, this one's numbers first.
+    """
 
     K: Matrix
     lens: LensModel
     distortion: tuple[float, ...]
     size: tuple[int, int]
+    covariance: tuple[tuple[float, ...], ...] | None = None
 
 
 def refused(path: Path, key: str, found: object, wanted: str) -> ConfigurationError:
@@ -100,7 +103,11 @@ def brown_or_rational(path: Path, key: str, values: Sequence[float]) -> tuple[Le
         raise refused(path, key, list(given), "4, 5 or 8 coefficients k1 k2 p1 p2 k3 k4 k5 k6 are wanted")
     if any(given[8:]):
         raise refused(
-            path, key, list(given), "thin prism and tilted sensor (from the ninth on) are not modelled"
+            path,
+            key,
+            list(given),
+            "thin prism and tilted sensor (from the ninth on) are not modelled: calibrate the camera with "
+            "longreach camera calibrate",
         )
     if any(given[5:8]):
         return LensModel.RATIONAL, given[:8]
@@ -129,7 +136,7 @@ def assembled(
     place = -R_RC.T @ t_RC
     document = {
         "format": FORMAT,
-        "source": source,
+        "source": source + _skew_left_out(eyes),
         "width_px": left.size[0],
         "height_px": left.size[1],
         "left": _eye(left),
@@ -138,6 +145,12 @@ def assembled(
         "right_rotation_vector_deg": tuple(np.degrees(turn).tolist()),
     }
     return made(path, document)
+
+
+def _skew_left_out(eyes: tuple[Pinhole, Pinhole]) -> str:
+    """What is said of skewed axes, which our lenses do not have; empty where there are none."""
+    skews = [float(eye.K[0, 1]) for eye in eyes]
+    return f"; skew {skews[0]:g} and {skews[1]:g} px left out" if any(skews) else ""
 
 
 def _eye(eye: Pinhole) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from foundation.configuration import read_yaml
+from foundation.configuration import parse_mapping
+from foundation.foreign_text import decoded
 from protocol.errors import ConfigurationError
 from vision_pc.config.camera_files import yaml_files
 from vision_pc.config.camera_files.parts import (
@@ -123,7 +124,8 @@ def _eye(
         )
         return Pinhole(K, LensModel.FISHEYE, values, size)
     _required_text(path, lens, where, "k1")
-    found = [number(path, f"[{where}] {key}", lens.get(key, "0")) for key in _RATIONAL]
+    names = (*_RATIONAL, "s1", "s2", "s3", "s4")
+    found = [number(path, f"[{where}] {key}", lens.get(key, "0")) for key in names]
     return Pinhole(K, *brown_or_rational(path, f"[{where}] k1 …", found), size)
 
 
@@ -141,19 +143,19 @@ def read_calibration(
     file, key, value and what was wanted.
     """
     text = _text(path)
-    if text.lstrip("\ufeff \r\n\t").startswith("[") or path.suffix.lower() == ".conf":
+    if _is_zed(path, text):
         if size is None:
             raise ConfigurationError(
                 "configuration.calibration_size",
                 f"{path}: a ZED file holds several picture sizes: give --size WIDTHxHEIGHT of one eye",
             )
-        return read_zed(path, text.lstrip("\ufeff"), size)
+        return read_zed(path, text, size)
     document = _document(path, text)
     if "format" in document:
         return made(path, document)
     if yaml_files.is_kalibr(document):
         return yaml_files.read_kalibr(path, document)
-    if yaml_files.is_camera_info(document):
+    if yaml_files.is_camera_info(document) or yaml_files.is_sensor(document):
         raise yaml_files.one_eye_alone(path)
     if yaml_files.is_opencv_stereo(document):
         return yaml_files.read_opencv_stereo(path, document, size, length_m)
@@ -178,13 +180,33 @@ def read_calibrations(
     documents = [_document(path, _text(path)) for path in paths]
     if all(map(yaml_files.is_camera_info, documents)):
         return yaml_files.read_camera_infos((paths[0], documents[0]), (paths[1], documents[1]))
+    if all(map(yaml_files.is_sensor, documents)):
+        return yaml_files.read_sensors((paths[0], documents[0]), (paths[1], documents[1]))
     if all(map(yaml_files.is_opencv_stereo, documents)):
         both = dict(documents[0]) | dict(documents[1])
         return yaml_files.read_opencv_stereo(paths[0], both, size, length_m)
     raise ConfigurationError(
         "configuration.bad_calibration",
-        f"{paths[0]} and {paths[1]}: two camera_info, or OpenCV's intrinsics and extrinsics, are wanted",
+        f"{paths[0]} and {paths[1]}: two camera_info, two sensor.yaml with T_BS, or OpenCV's "
+        "intrinsics and extrinsics are wanted",
     )
+
+
+def read_eye(path: Path, size: tuple[int, int]) -> Pinhole:
+    """One camera's lens for pictures of ``size`` (width, height): of a file of one camera, or the left eye of
+    a stereo camera's. Raises ConfigurationError.
+    """
+    text = _text(path)
+    if not _is_zed(path, text):
+        document = _document(path, text)
+        if yaml_files.is_camera_info(document):
+            return yaml_files.camera_info_eye(path, document, size)
+        if yaml_files.is_sensor(document):
+            return yaml_files.sensor_eye(path, document)
+    found = read_calibration(path, size)
+    eye = found.left
+    K = np.array([[eye.fx_px, 0.0, eye.cx_px], [0.0, eye.fy_px, eye.cy_px], [0.0, 0.0, 1.0]])
+    return Pinhole(K, eye.lens, eye.distortion, (found.width_px, found.height_px), found.covariance)
 
 
 def write_calibration(path: Path, calibration: StereoCalibration) -> None:
@@ -212,13 +234,17 @@ def _shortest(value: float) -> str:
     return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{sign}{exponent.lstrip('+-')}"
 
 
+def _is_zed(path: Path, text: str) -> bool:
+    return text.lstrip().startswith("[") or path.suffix.lower() == ".conf"
+
+
 def _text(path: Path) -> str:
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
     try:
-        text = data[:_MOST_BYTES].decode("utf-8")
+        text = decoded(data[:_MOST_BYTES])
     except UnicodeDecodeError as error:
         why = f"{path}: no text at byte {error.start}; {_WANTED}"
         raise ConfigurationError("configuration.bad_calibration", why) from error
@@ -230,7 +256,13 @@ def _text(path: Path) -> str:
 def _document(path: Path, text: str) -> Mapping[str, Any]:
     if text.startswith("%YAML:1.0") or "!!opencv-matrix" in text:
         return _file_storage(path, text)
-    return read_yaml(path)
+    return parse_mapping(_one_document(text), str(path))
+
+
+def _one_document(text: str) -> str:
+    """Without the dashes that ``ros2 topic echo`` puts between documents, where there is but one."""
+    parts = [part for part in re.split(r"(?m)^---[^\S\n]*$", text) if part.strip()]
+    return parts[0] if len(parts) == 1 else text
 
 
 class _StorageLoader(yaml.SafeLoader):

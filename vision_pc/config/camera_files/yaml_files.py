@@ -21,6 +21,7 @@ from vision_pc.config.camera_files.parts import (
 )
 from vision_pc.config.stereo_camera import StereoCalibration
 
+_STANDS_M = 1e-4  # how far from the first eye the left one may be by its file
 _STEREO = {  # ours → names that OpenCV's samples and others write
     "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "K_left", "left_K"),
     "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "D_left", "left_D"),
@@ -38,7 +39,9 @@ def is_kalibr(document: Mapping[str, Any]) -> bool:
 
 def is_camera_info(document: Mapping[str, Any]) -> bool:
     """Whether this is one eye's ``camera_info``."""
-    return ("camera_matrix" in document and "image_width" in document) or {"K", "D", "P"} <= _upper(document)
+    return {"camera_matrix", "distortion_coefficients"} <= set(document) or {"K", "D", "P"} <= _upper(
+        document
+    )
 
 
 def is_opencv_stereo(document: Mapping[str, Any]) -> bool:
@@ -62,11 +65,66 @@ def read_kalibr(path: Path, document: Mapping[str, Any]) -> StereoCalibration:
         if not isinstance(cam, Mapping):
             raise missing(path, name, "a camchain of two cameras")
         eyes.append(_kalibr_eye(path, name, cam))
-    cam1 = document["cam1"]
-    if "T_cn_cnm1" not in cam1:
-        raise missing(path, "cam1.T_cn_cnm1", "4x4, from cam0 to cam1, of both cameras in one run of Kalibr")
-    X_RC = matrix(path, "cam1.T_cn_cnm1", cam1["T_cn_cnm1"], (4, 4))
-    return assembled(path, f"{path.name}, Kalibr camchain", (eyes[0], eyes[1]), X_RC[:3, :3], X_RC[:3, 3])
+    X_RC, key = _from_left_to_right(path, document["cam0"], document["cam1"])
+    source = f"{path.name}, camchain, by {key}"
+    return assembled(path, source, (eyes[0], eyes[1]), X_RC[:3, :3], X_RC[:3, 3])
+
+
+def _from_left_to_right(path: Path, cam0: Mapping[str, Any], cam1: Mapping[str, Any]) -> tuple[Matrix, str]:
+    """What takes points of cam0 to cam1 (4, 4), m, and the key that told: between the eyes, or each eye's
+    pose to the inertial unit. Raises ConfigurationError.
+    """
+    if "T_cn_cnm1" in cam1:
+        return matrix(path, "cam1.T_cn_cnm1", cam1["T_cn_cnm1"], (4, 4)), "T_cn_cnm1"
+    for key in ("T_cam_imu", "T_imu_cam"):
+        if key in cam0 and key in cam1:
+            left, right = (matrix(path, f"{name}.{key}", cam[key], (4, 4))
+                           for name, cam in (("cam0", cam0), ("cam1", cam1)))  # fmt: skip
+            if key == "T_cam_imu":
+                return np.asarray(right @ _inverse(left)), key
+            return np.asarray(_inverse(right) @ left), key
+    wanted = "4x4, from cam0 to cam1; or T_cam_imu or T_imu_cam of both cameras"
+    raise missing(path, "cam1.T_cn_cnm1", wanted)
+
+
+def _inverse(X: Matrix) -> Matrix:
+    made = np.eye(4)
+    made[:3, :3], made[:3, 3] = X[:3, :3].T, -X[:3, :3].T @ X[:3, 3]
+    return made
+
+
+def is_sensor(document: Mapping[str, Any]) -> bool:
+    """Whether this is one camera's file of a data set in ASL's form, as EuRoC's."""
+    return "T_BS" in document and "intrinsics" in document
+
+
+def read_sensors(
+    left: tuple[Path, Mapping[str, Any]], right: tuple[Path, Mapping[str, Any]]
+) -> StereoCalibration:
+    """From both cameras' files in ASL's form: ``T_BS`` takes points of a camera to the body (m). Raises
+    ConfigurationError.
+    """
+    eyes = [sensor_eye(*one) for one in (left, right)]
+    X_BL, X_BR = (
+        matrix(
+            path, "T_BS", value.get("data") if isinstance(value := sensor["T_BS"], Mapping) else value, (4, 4)
+        )
+        for path, sensor in (left, right)
+    )
+    X_RL = _inverse(X_BR) @ X_BL
+    source = f"{left[0].name} and {right[0].name}, by T_BS"
+    return assembled(left[0], source, (eyes[0], eyes[1]), X_RL[:3, :3], X_RL[:3, 3])
+
+
+def sensor_eye(path: Path, sensor: Mapping[str, Any]) -> Pinhole:
+    """One camera in ASL's form, which differs from Kalibr's in two names."""
+    kinds = {"radial-tangential": "radtan"}
+    kind = sensor.get("distortion_model", "none")
+    told = {
+        "distortion_coeffs": sensor.get("distortion_coefficients", []),
+        "distortion_model": kinds.get(kind, kind),
+    }
+    return _kalibr_eye(path, "camera", {**sensor, **told})
 
 
 def _kalibr_eye(path: Path, name: str, cam: Mapping[str, Any]) -> Pinhole:
@@ -96,7 +154,8 @@ def read_camera_infos(
     The rectified right eye is at (-P[3] / P[0], 0, 0) in the rectified left one, and ``R`` turns each eye
     into its rectified axes. Raises ConfigurationError.
     """
-    eyes = (_camera_info(*left), _camera_info(*right))
+    eyes = (camera_info_eye(*left), camera_info_eye(*right))
+    _require_first_of_pair(*left)
     turns = [_entry(path, info, "rectification_matrix", "R") for path, info in (left, right)]
     R_left = matrix(left[0], "rectification_matrix", turns[0], (3, 3))
     R_right = matrix(right[0], "rectification_matrix", turns[1], (3, 3))
@@ -123,10 +182,14 @@ def _entry(path: Path, info: Mapping[str, Any], name: str, short: str) -> Any:
     raise missing(path, name, "as camera_calibration writes it")
 
 
-def _camera_info(path: Path, info: Mapping[str, Any]) -> Pinhole:
+def camera_info_eye(path: Path, info: Mapping[str, Any], size: tuple[int, int] | None = None) -> Pinhole:
+    """One eye of ROS, or of OpenCV under the same names; ``size`` stands in where it has none. Raises
+    ConfigurationError.
+    """
     K = matrix(path, "camera_matrix", _entry(path, info, "camera_matrix", "K"), (3, 3))
     values = numbers(path, "distortion_coefficients", _entry(path, info, "distortion_coefficients", "D"))
-    kind = info.get("distortion_model", "plumb_bob")
+    kind = info.get("distortion_model", info.get("camera_model", "plumb_bob"))
+    kind = "plumb_bob" if kind == "pinhole" else kind
     if kind in ("equidistant", "fisheye"):
         lens = equidistant(path, "distortion_coefficients", values)
     elif kind in ("plumb_bob", "rational_polynomial"):
@@ -134,9 +197,24 @@ def _camera_info(path: Path, info: Mapping[str, Any]) -> Pinhole:
     else:
         wanted = "plumb_bob, rational_polynomial or equidistant is wanted"
         raise refused(path, "distortion_model", kind, wanted)
+    if size is not None and "image_width" not in info and "width" not in info:
+        return Pinhole(K, *lens, size)
     width, height = (int(number(path, key, _entry(path, info, key, key.removeprefix("image_"))))
                      for key in ("image_width", "image_height"))  # fmt: skip
     return Pinhole(K, *lens, (width, height))
+
+
+def _require_first_of_pair(path: Path, info: Mapping[str, Any]) -> None:
+    """Raises ConfigurationError where the left eye's file says that it stands beside another."""
+    P = matrix(path, "projection_matrix", _entry(path, info, "projection_matrix", "P"), (3, 4))
+    if abs(P[0, 3]) > _STANDS_M * abs(P[0, 0]):
+        raise refused(
+            path,
+            "projection_matrix[3]",
+            float(P[0, 3]),
+            "0 is wanted of the left eye, from which the right one's is counted; is it the right eye's file, "
+            "or does one program give both eyes the same P?",
+        )
 
 
 def read_opencv_stereo(
@@ -181,6 +259,5 @@ def one_eye_alone(path: Path) -> ConfigurationError:
     """The error of a file that holds one eye where both are wanted."""
     return ConfigurationError(
         "configuration.bad_calibration",
-        f"{path}: is the camera_info of one eye, both are wanted: "
-        "longreach camera convert LEFT RIGHT --out FILE",
+        f"{path}: is the file of one eye, both are wanted: longreach camera convert LEFT RIGHT --out FILE",
     )

@@ -31,6 +31,9 @@ _READ_LIKE = 0.9  # correlation of a marker that OpenCV did not read with what i
 _SHOWS_LIKE = (
     0.6  # the same of the cells' middles, of any marker: keys of a keyboard have 0.1, a screen's edge 0.5
 )
+_PLACES, _LEAST_CONTRAST = 9, 8.0  # of a side; grey levels: less than lines need, for small blurred markers
+_FITTED_PX = 90.0  # of an edge
+_EDGE_REACH_PX = 1.5  # to either side, at most half a cell: corners by gradients are not believed farther off
 _CORRECTION = 0.6  # share of the wrong cells that a dictionary could correct
 
 
@@ -50,34 +53,67 @@ class PictureMarker(NamedTuple):
         return float(np.linalg.norm(self.corners - np.roll(self.corners, -1, axis=0), axis=1).mean())
 
 
+class MarkerSearch(NamedTuple):
+    """``markers`` by number and place; ``edgeless``: numbers that were read where no edge between ink and
+    paper tells the corners; ``squares``: how many further squares could not be read.
+    """
+
+    markers: list[PictureMarker]
+    edgeless: list[int]
+    squares: int
+
+
 def found_markers(
     image: Image, dictionary: str, requested: frozenset[int] = frozenset(), window_px: int = 13
 ) -> list[PictureMarker]:
-    """The markers in ``image``, by number and place, smaller ones than ``LEAST_SIDE_PX`` left out.
+    """The markers that ``search`` finds."""
+    return search(image, dictionary, requested, window_px).markers
+
+
+def search(
+    image: Image, dictionary: str, requested: frozenset[int] = frozenset(), window_px: int = 13
+) -> MarkerSearch:
+    """What of ``dictionary`` is in ``image``, markers smaller than ``LEAST_SIDE_PX`` left out.
 
     With ``requested`` numbers only these are given, and other threshold windows than ``window_px`` are tried
     only while one of them is missing; without, all windows are tried.
     """
     book = _book(dictionary)
     markers: list[PictureMarker] = []
+    read: list[tuple[int, Array]] = []
+    is_grid = dictionary.startswith("DICT_APRILTAG")
     unread: list[Array] = []
     for window, darker in ((window_px, _USUAL), *((other, _SENSITIVE) for other in _WINDOWS)):
         if requested and requested <= {marker.number for marker in markers}:
             break
         quads, ids, rejected = _detector(dictionary, window, darker).detectMarkers(image)
-        for number, quad in zip([] if ids is None else ids.ravel(), quads, strict=True):
+        for number, quad in zip([] if ids is None else map(int, ids.ravel()), quads, strict=True):
             place = quad.reshape(4, 2).astype(np.float64)
-            if (not requested or int(number) in requested) and not _is_known(markers, int(number), place):
-                markers.append(refined(image, int(number), place, _cells(book, int(number))))
+            if (not requested or number in requested) and not _is_known(markers, number, place):
+                read.append((number, place))
+                made = refined(image, number, place, _cells(book, number), is_grid)
+                markers += [] if made is None else [made]
         unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
     if not requested or not requested <= {marker.number for marker in markers}:
         markers += _read_quads(image, unread, markers, book, requested)
-    unique = [
-        marker
-        for marker in markers
-        if marker.side_px >= LEAST_SIDE_PX and looks_right(image, marker, _cells(book, marker.number))
-    ]
-    return sorted(unique, key=lambda marker: (marker.number, *marker.corners[0]))
+    edgeless = {number for number, place in read if not _is_known(markers, number, place)}
+    alone = [quad for quad in unread if not any(_covers(marker.corners, quad) for marker in markers)]
+    return MarkerSearch(
+        sorted(markers, key=lambda marker: (marker.number, *marker.corners[0])),
+        sorted(edgeless),
+        len(_apart(alone)),
+    )
+
+
+def _apart(quads: list[Array]) -> list[Array]:
+    """One of each place, of a marker's size."""
+    found: list[Array] = []
+    for quad in quads:
+        if np.linalg.norm(quad[0] - quad[1]) >= LEAST_SIDE_PX and not any(
+            _covers(one, quad) for one in found
+        ):
+            found.append(quad)
+    return found
 
 
 def _read_quads(
@@ -123,12 +159,9 @@ def looks_right(image: Image, marker: PictureMarker, cells: Array) -> bool:
     """
     if marker.method == "cells":
         return marker.std_px < _ROUGH_STD_PX
-    count = len(cells)
-    square = np.array([[0, 0], [count, 0], [count, count], [0, count]], dtype=np.float32)
-    H = cv2.getPerspectiveTransform(square, marker.corners.astype(np.float32))
     rows, columns = (index.ravel() + 0.5 for index in np.indices(cells.shape))
-    middles = cv2.perspectiveTransform(np.column_stack([columns, rows])[None].astype(np.float32), H)[0]
-    grey = cv2.remap(image, middles[:, 0].copy(), middles[:, 1].copy(), cv2.INTER_LINEAR).ravel()
+    middles = np.column_stack([columns, rows])
+    grey = _grey_at(image, marker.corners, len(cells), middles)
     return bool(np.corrcoef(grey, cells.ravel())[0, 1] >= _SHOWS_LIKE)
 
 
@@ -144,19 +177,90 @@ def _covers(corners: Array, quad: Array) -> bool:
     return bool(np.linalg.norm(corners.mean(axis=0) - quad.mean(axis=0)) < 0.5 * side)
 
 
-def refined(image: Image, number: int, rough: Array, cells: Array) -> PictureMarker:
+def refined(image: Image, number: int, rough: Array, cells: Array, wide: bool) -> PictureMarker | None:
+    """The marker with its corners refined; None where no edge tells them, or it looks otherwise.
+
+    ``wide``: where ink is on both sides of them, the border is tried as two cells wide, as in AprilTag grids.
+    """
+    made = _refined_by(image, number, rough, cells)
+    if _is_whole(image, made, cells):
+        return made
+    if not wide:
+        return None
+    padded = np.pad(cells, 1)
+    by_lines = _by_edges(image, number, _near(image, _outer(rough, len(cells)), padded))
+    return by_lines if by_lines is not None and _is_whole(image, by_lines, padded) else None
+
+
+def _near(image: Image, corners: Array, cells: Array) -> Array:
+    """Corners nearer to the marker's by all of its light, in a picture made small enough for that; as they
+    are where it fails. What touches corners spoils them by a tenth of a pixel.
+    """
+    scale = min(1.0, _FITTED_PX / float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()))
+    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    fitted = marker_template.fit(np.asarray(small, dtype=np.uint8), scale * (corners + 0.5) - 0.5, cells)
+    return corners if fitted is None else np.asarray((fitted.corners + 0.5) / scale - 0.5)
+
+
+def _is_whole(image: Image, marker: PictureMarker, cells: Array) -> bool:
+    """Whether it is large enough, has an edge on all sides, and looks like its ``cells``."""
+    large = marker.side_px >= LEAST_SIDE_PX
+    return large and _has_edges(image, marker, len(cells)) and looks_right(image, marker, cells)
+
+
+def _by_edges(image: Image, number: int, rough: Array) -> PictureMarker | None:
+    """The marker with the corners where the lines along its edges meet; None where there are none."""
+    edges = marker_edges.refine(image, rough, lambda pixels: pixels)
+    if edges is None or not np.isfinite(edges).all():
+        return None
+    found = PictureMarker(number, edges, "edges", _EDGE_STD_PX)
+    return found if found.side_px >= _LONG_PX else found._replace(std_px=_SHORT_EDGE_STD_PX)
+
+
+def _outer(corners: Array, count: int) -> Array:
+    """Corners (4, 2) one cell farther out, of a marker of ``count`` cells a side."""
+    square = np.array([[0, 0], [count, 0], [count, count], [0, count]], dtype=np.float32)
+    H = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
+    beyond = square + np.sign(square - 0.5 * count)
+    return np.asarray(cv2.perspectiveTransform(beyond[None], H)[0], dtype=np.float64)
+
+
+def _has_edges(image: Image, marker: PictureMarker, count: int) -> bool:
+    """Whether each side has ink just within it that is darker than the paper just beyond."""
+    along = (np.arange(_PLACES) + 0.5) * count / _PLACES
+    reach = min(0.5, _EDGE_REACH_PX * count / marker.side_px)  # cells
+    inside, outside = np.full(_PLACES, reach), np.full(_PLACES, -reach)
+    sides = [
+        np.stack([np.concatenate([across, count - across, along, along]),
+                  np.concatenate([along, along, across, count - across])], axis=-1)
+        for across in (inside, outside)
+    ]  # fmt: skip
+    ink, paper = (_grey_at(image, marker.corners, count, places).reshape(4, _PLACES) for places in sides)
+    return bool((np.median(paper - ink, axis=1) >= _LEAST_CONTRAST).all())
+
+
+def _grey_at(image: Image, corners: Array, count: int, places: Array) -> Array:
+    """The grey levels at ``places`` (n, 2) x, y, in cells of a marker."""
+    square = np.array([[0, 0], [count, 0], [count, count], [0, count]], dtype=np.float32)
+    H = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
+    seen = cv2.perspectiveTransform(places[None].astype(np.float32), H)[0]
+    grey = cv2.remap(
+        image, seen[:, 0].copy(), seen[:, 1].copy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(grey.ravel(), dtype=np.float64)
+
+
+def _refined_by(image: Image, number: int, rough: Array, cells: Array) -> PictureMarker:
     """The marker with its corners refined by all of its ``cells``, else by edge lines, by gradients, or as
     they are.
     """
-    edges = marker_edges.refine(image, rough, lambda pixels: pixels)
-    starts = [rough] if edges is None or not np.isfinite(edges).all() else [edges, rough]
-    for start in starts:
+    edges = _by_edges(image, number, rough)
+    for start in [rough] if edges is None else [edges.corners, rough]:
         fitted = marker_template.fit(image, start, cells)
         if fitted is not None:
             return PictureMarker(number, fitted.corners, "cells", fitted.std_px)
-    if edges is not None and np.isfinite(edges).all():
-        found = PictureMarker(number, edges, "edges", _EDGE_STD_PX)
-        return found if found.side_px >= _LONG_PX else found._replace(std_px=_SHORT_EDGE_STD_PX)
+    if edges is not None:
+        return edges
     side = float(np.linalg.norm(rough - np.roll(rough, -1, axis=0), axis=1).min())
     reach = int(np.clip(side / 6.0 - 1.0, 1.0, 3.0))  # within the border, whose cells are a sixth or less
     moved = cv2.cornerSubPix(

@@ -22,6 +22,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPair
 
 _WIDEST = np.radians(88.0)  # from the axis: no pinhole picture shows more
+_LEAST_FOCAL = 0.5  # of a fisheye's: a pinhole picture of all of it would have its middle in a few pixels
 _ANGLES = 2000
 _NEWTON_STEPS = 12
 _STEP = 1e-6
@@ -109,12 +110,17 @@ def geometry(calibration: StereoCalibration) -> RectifiedGeometry:
             flags=cv2.CALIB_ZERO_DISPARITY, alpha=0.0, newImageSize=size,
         )  # fmt: skip
     baseline = float(np.linalg.norm(calibration.right_position_m))
-    K = np.asarray(P, dtype=np.float64)[:3, :3]
+    K = np.array(P, dtype=np.float64)[:3, :3]
+    if left.fisheye:
+        K[[0, 1], [0, 1]] = max(K[0, 0], _LEAST_FOCAL * left.K[0, 0])
     return RectifiedGeometry(left, right, np.asarray(R_left), np.asarray(R_right), K, baseline)
 
 
 def _refuse_folds(calibration: StereoCalibration, name: str, lens: RawLens) -> None:
-    """The distorted radius must grow with the angle from the axis until it is beyond the farthest corner."""
+    """The distorted radius must grow with the angle from the axis until it is beyond the farthest corner.
+
+    A fisheye's corners may lie farther out than any pinhole picture shows: then as far as that.
+    """
     size = np.array([calibration.width_px, calibration.height_px])
     focal, centre = lens.K[[0, 1], [0, 1]], lens.K[:2, 2]
     corner = float(np.linalg.norm(np.maximum(centre, size - centre) / focal))
@@ -122,7 +128,7 @@ def _refuse_folds(calibration: StereoCalibration, name: str, lens: RawLens) -> N
     radii = _radii(lens, angles)
     folds = np.flatnonzero(~(np.diff(radii) > 0.0))
     reached = float(radii[folds[0]] if folds.size else radii[-1])
-    if reached < corner:
+    if reached < corner and (folds.size or not lens.fisheye):
         raise ConfigurationError(
             "configuration.lens_folds",
             f"{calibration.source or 'camera.calibration'}: {name}.distortion = {lens.distortion.tolist()}: "

@@ -34,12 +34,15 @@ _UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 class PairView(NamedTuple):
-    """The corners that both eyes see: ``points_m`` (k, 3) on the board, ``left`` and ``right`` (k, 2) px."""
+    """The corners that both eyes see: ``points_m`` (k, 3) on the board, ``left`` and ``right`` (k, 2) px;
+    ``second`` as of a BoardView.
+    """
 
     name: str
     points_m: Array
     left: Array
     right: Array
+    second: str = ""
 
 
 class StereoFit(NamedTuple):
@@ -83,7 +86,8 @@ def paired(left: BoardView, right: BoardView) -> PairView:
             f"view {left.name}: {len(common)} corners seen by both eyes, {_LEAST_COMMON} are wanted",
         )
     ours, theirs = (list(k) for k in zip(*common, strict=True))
-    return PairView(left.name, left.points_m[ours], left.pixels[ours], right.pixels[theirs])
+    second = left.second or right.second
+    return PairView(left.name, left.points_m[ours], left.pixels[ours], right.pixels[theirs], second)
 
 
 def distinct(views: Sequence[PairView]) -> list[PairView]:

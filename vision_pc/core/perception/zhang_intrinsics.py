@@ -49,11 +49,14 @@ class Charuco(NamedTuple):
 
 
 class BoardView(NamedTuple):
-    """Corners of one picture: ``points_m`` (k, 3) on the board and ``pixels`` (k, 2)."""
+    """Corners of one picture: ``points_m`` (k, 3) on the board and ``pixels`` (k, 2); ``second``: what found
+    them where the first finder failed.
+    """
 
     name: str
     points_m: Array
     pixels: Array
+    second: str = ""
 
 
 class Intrinsics(NamedTuple):
@@ -118,19 +121,22 @@ def _window(corners: Array, board: Checkerboard) -> int:
     return int(np.clip(0.35 * min(sides), 2, _CLASSIC_WINDOW))
 
 
-def charuco_board(board: Charuco) -> cv2.aruco.CharucoBoard:
-    """OpenCV's object of that board; its picture is what must be printed."""
+def charuco_board(board: Charuco, old_pattern: bool = False) -> cv2.aruco.CharucoBoard:
+    """OpenCV's object of that board; its picture is what must be printed. ``old_pattern``: as before 4.6."""
     dictionary = cv2.aruco.getPredefinedDictionary(board.dictionary)
-    return cv2.aruco.CharucoBoard((board.columns, board.rows), board.square_m, board.marker_m, dictionary)
+    size = (board.columns, board.rows)
+    made = cv2.aruco.CharucoBoard(size, board.square_m, board.marker_m, dictionary)
+    made.setLegacyPattern(old_pattern)
+    return made
 
 
-def find_charuco(image: Image, board: Charuco, name: str) -> BoardView:
+def find_charuco(image: Image, board: Charuco, name: str, old_pattern: bool = False) -> BoardView:
     """The corners of a ChArUco board that are visible in one grey picture.
 
     Raises MeasurementFailed (``measurement.intrinsics.no_board``) naming the view when fewer than 6 are
     found.
     """
-    target = charuco_board(board)
+    target = charuco_board(board, old_pattern)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(target).detectBoard(image)
     count = 0 if ids is None else len(ids)
     if count < _LEAST_CORNERS:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import ConfigurationError, FrameRefused
 from vision_pc.core.types import Image, StereoPair
@@ -83,11 +84,26 @@ def recorded_pairs(directory: Path) -> Iterator[StereoPair]:
 
 
 def read_grey(path: Path) -> Image:
-    """The picture in ``path``, (height, width) uint8. Raises ConfigurationError when there is none."""
-    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    """The picture in ``path``, (height, width) uint8; a transparent one lies on white. Raises
+    ConfigurationError when there is none.
+    """
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise ConfigurationError("configuration.bad_recording", f"{path}: {error.strerror}") from error
+    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
     if picture is None:
         raise ConfigurationError("configuration.bad_recording", f"{path}: no picture")
-    return np.asarray(picture, dtype=np.uint8)
+    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if _may_be_transparent(data) else None
+    if layers is None or layers.ndim < 3 or layers.shape[2] != 4:
+        return np.asarray(picture, dtype=np.uint8)
+    share = layers[..., 3] / (255.0 if layers.dtype == np.uint8 else 65535.0)
+    return np.asarray(np.round(share * picture + (1.0 - share) * 255.0), dtype=np.uint8)
+
+
+def _may_be_transparent(png: NDArray[np.uint8]) -> bool:
+    """Whether it is a PNG file whose colour type has an alpha channel, or a palette that may have one."""
+    return png[:4].tobytes() == b"\x89PNG" and len(png) > 25 and int(png[25]) in (3, 4, 6)
 
 
 class DirectoryCamera(CameraSource):

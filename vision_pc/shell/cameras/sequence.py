@@ -14,11 +14,8 @@ from vision_pc.core.odometry.shared_offset import FoundOffset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose, StereoPair
 from vision_pc.shell.cameras.directory import read_grey
-from vision_pc.shell.cameras.sequence_calibration import recorded_camera
-
-_PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
-_NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
-
+from vision_pc.shell.cameras.picture_files import EyeFiles, eye_files
+from vision_pc.shell.cameras.sequence_calibration import kitti_eyes, recorded_camera
 
 ToolAt = Callable[[StereoPair], Array | None]
 
@@ -39,13 +36,15 @@ class PairRecord(NamedTuple):
 class SequenceResult(NamedTuple):
     """What became of a sequence, pair by pair; ``joints[k]``: map k's C0 in the first's, None: unknown.
 
-    ``offset``: of the right eye's columns, where the way showed it and it was taken out.
+    ``offset``: of the right eye's columns, where the way showed it and it was taken out. ``notes``: what was
+    chosen of the files, and what left out.
     """
 
     records: list[PairRecord]
     joints: list[Array | None]
     keyframes: int
     offset: FoundOffset | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def poses(self) -> list[OdometryPose]:
@@ -82,28 +81,13 @@ class SequenceResult(NamedTuple):
         return found
 
 
-def read_pairs(left: Path, right: Path, rate_hz: float) -> Iterator[StereoPair]:
-    """The pairs of two directories, matched by their order, which must be as long.
-
-    Times come from ``times.txt`` beside or above ``left`` (seconds, one a line), from file names that are
-    nanoseconds, or else from ``rate_hz``. Raises ConfigurationError.
-    """
-    names = [_pictures(directory) for directory in (left, right)]
-    if len(names[0]) != len(names[1]):
-        raise ConfigurationError(
-            "configuration.bad_sequence", f"{left}: {len(names[0])} pictures, but {len(names[1])} in {right}"
-        )
-    times_ns = _times_ns(left, names[0], rate_hz)
-    for index, (one, other) in enumerate(zip(*names, strict=True)):
-        pair = StereoPair(read_grey(one), read_grey(other), times_ns[index], index)
+def read_pairs(found: EyeFiles) -> Iterator[StereoPair]:
+    """The pairs of two directories. Raises ConfigurationError for what is no picture, or of another size."""
+    for index, ((one, other), at_ns) in enumerate(zip(found.files, found.times_ns, strict=True)):
+        pair = StereoPair(read_grey(one), read_grey(other), at_ns, index)
         if pair.left.shape != pair.right.shape:
             raise ConfigurationError("configuration.bad_sequence", f"{one} and {other} differ in size")
         yield pair
-
-
-def count_pairs(left: Path) -> int:
-    """How many pictures ``left`` holds. Raises ConfigurationError where there are none."""
-    return len(_pictures(left))
 
 
 class Recorded(NamedTuple):
@@ -117,9 +101,9 @@ class Recorded(NamedTuple):
     rate_hz: float = 10.0
     tool_at: ToolAt = lambda pair: None
 
-    def pairs(self) -> Iterator[StereoPair]:
-        """The pairs, as ``read_pairs`` has them."""
-        return read_pairs(self.left, self.right, self.rate_hz)
+    def files(self) -> EyeFiles:
+        """The pairs of pictures, their times, and what was left out. Raises ConfigurationError."""
+        return eye_files(self.left, self.right, self.rate_hz)
 
 
 def follow(
@@ -128,9 +112,11 @@ def follow(
     """The odometry of a whole sequence, rectified first where its calibration is of a camera as it comes;
     ``report`` hears of every pair. Raises MeasurementFailed if all were lost.
     """
-    known = recorded_camera(recorded.calibration, next(recorded.pairs()))
+    files = recorded.files()
+    eyes = kitti_eyes(recorded.left, recorded.right)
+    known = recorded_camera(recorded.calibration, next(read_pairs(files)), eyes)
     result = follow_pairs(
-        lambda: map(known.rectified, recorded.pairs()),
+        lambda: map(known.rectified, read_pairs(files)),
         lambda pair: SegmentedOdometry(known.camera, config.odometry_of_recordings),
         report,
         recorded.tool_at,
@@ -142,7 +128,7 @@ def follow(
             "measurement.odometry_lost",
             f"{recorded.left}: all {len(result.records)} pairs lost, last cause {last.loss}{figure}",
         )
-    return result
+    return result._replace(notes=(*files.notes, *known.notes))
 
 
 def follow_pairs(
@@ -223,31 +209,3 @@ def write_side_file(path: Path, result: SequenceResult) -> None:
                 line += [f"{pose.residual_px:.4f}", *(f"{value:.9f}" for value in (*position, *turn))]
                 line += [f"{pose.covariance[i, j]:.6e}" for i, j in upper]
             table.writerow(line)
-
-
-def _pictures(directory: Path) -> list[Path]:
-    if not directory.is_dir():
-        raise ConfigurationError("configuration.bad_sequence", f"{directory}: no such directory")
-    found = sorted(path for path in directory.iterdir() if path.suffix.lower() in _PICTURES)
-    if not found:
-        raise ConfigurationError(
-            "configuration.bad_sequence", f"{directory}: 0 pictures, at least 1 is wanted"
-        )
-    return found
-
-
-def _times_ns(directory: Path, names: list[Path], rate_hz: float) -> list[int]:
-    for table in (directory / "times.txt", directory.parent / "times.txt"):
-        if table.is_file():
-            try:
-                seconds = [float(line) for line in table.read_text(encoding="ascii").split()]
-            except ValueError as error:
-                raise ConfigurationError("configuration.bad_sequence", f"{table}: {error}") from error
-            if len(seconds) < len(names):
-                raise ConfigurationError(
-                    "configuration.bad_sequence", f"{table}: {len(seconds)} times for {len(names)} pictures"
-                )
-            return [round(second * 1e9) for second in seconds[: len(names)]]
-    if all(name.stem.isdigit() and int(name.stem) >= _NS_FROM for name in names):
-        return [int(name.stem) for name in names]
-    return [round(index * 1e9 / rate_hz) for index in range(len(names))]

@@ -1,5 +1,6 @@
 """The calibration of a recorded sequence: of rectified pairs, or of a camera as it comes."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -7,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.configuration import load, read_yaml
+from foundation.foreign_text import read_text
 from protocol.errors import ConfigurationError
 from vision_pc.config.camera import CameraSettings, EyeSettings, PinholePair
 from vision_pc.config.camera_files import reading
@@ -15,24 +17,44 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.rectification import Rectifier, rectified_camera
 from vision_pc.core.types import CameraCalibration, StereoPair
 
+_KITTI_FOLDER = re.compile(r"/image_0?([0-3])(?:/data)?$")
 _OFF_CENTRE = 0.15  # of width or height: rectification moves principal points by a tenth at most
 
 
 class RecordedCamera(NamedTuple):
-    """What is known of the rectified pairs, and how a pair of the recording becomes one of them."""
+    """What is known of the rectified pairs, and how a pair of the recording becomes one of them; ``notes``:
+    what was chosen in the file.
+    """
 
     camera: CameraCalibration
     rectified: Callable[[StereoPair], StereoPair]
+    notes: tuple[str, ...] = ()
 
 
-def recorded_camera(path: Path, pair: StereoPair) -> RecordedCamera:
-    """The camera whose calibration is in ``path``, for pictures like ``pair``'s.
+def kitti_eyes(left: Path, right: Path) -> tuple[int, int]:
+    """The numbers of KITTI's cameras by which two directories are called (image_2, or image_02/data); 0 and
+    1, the grey ones, where they are not.
+    """
+    names = [_KITTI_FOLDER.search(directory.resolve().as_posix()) for directory in (left, right)]
+    if names[0] is None or names[1] is None:
+        return (0, 1)
+    return (int(names[0][1]), int(names[1][1]))
 
-    A file of rectified pairs (as ``read_calibration`` says), or any of a raw stereo camera: ours, a ZED's,
-    Kalibr's, OpenCV's. Raises ConfigurationError.
+
+def recorded_camera(path: Path, pair: StereoPair, eyes: tuple[int, int] = (0, 1)) -> RecordedCamera:
+    """The camera whose calibration is in ``path``, for pictures like ``pair``'s; ``eyes`` as ``kitti_eyes``.
+
+    Of rectified pairs: YAML with fx_px, fy_px, cx_px, cy_px, baseline_m and, where the right eye's differs,
+    right_cx_px; or a text file with KITTI's projection matrices. Or any of a raw stereo camera: ours, a
+    ZED's, Kalibr's, OpenCV's. Raises ConfigurationError.
     """
     if path.suffix == ".txt" or _is_of_rectified(path):
-        return RecordedCamera(read_calibration(path, pair), lambda taken: taken)
+        pinholes = _kitti(path, eyes) if path.suffix == ".txt" else load(RectifiedPairSettings, path)
+        notes = (f"baseline {pinholes.baseline_m:.4f} m, from {path.name}",)
+        if path.suffix == ".txt":
+            of = f"P{eyes[0]} and P{eyes[1]} are taken (P2 and P3 for directories image_2 and image_3)"
+            notes = (f"{path.name}: {of}, baseline {pinholes.baseline_m:.4f} m",)
+        return RecordedCamera(_rectified_pair(path, pinholes, pair), lambda taken: taken, notes)
     height, width = pair.left.shape
     found = reading.read_calibration(path, (width, height))
     if (found.width_px, found.height_px) != (width, height):
@@ -54,13 +76,7 @@ def _is_of_rectified(path: Path) -> bool:
     return "format" not in keys and bool(keys & set(RectifiedPairSettings.model_fields))
 
 
-def read_calibration(path: Path, pair: StereoPair) -> CameraCalibration:
-    """The calibration in ``path`` for pictures like ``pair``'s.
-
-    YAML with fx_px, fy_px, cx_px, cy_px, baseline_m and, where the right eye's differs, right_cx_px; or a
-    text file with KITTI's projection matrices ``P0:`` and ``P1:``. Raises ConfigurationError.
-    """
-    found = _kitti(path) if path.suffix == ".txt" else load(RectifiedPairSettings, path)
+def _rectified_pair(path: Path, found: RectifiedPairSettings, pair: StereoPair) -> CameraCalibration:
     height, width = pair.left.shape
     _check_size(path, found, width, height)
     left = EyeSettings(fx_px=found.fx_px, fy_px=found.fy_px, cx_px=found.cx_px, cy_px=found.cy_px)
@@ -100,24 +116,23 @@ def _check_size(path: Path, found: RectifiedPairSettings, width: int, height: in
                 )
 
 
-def _kitti(path: Path) -> RectifiedPairSettings:
-    """From the first two projection matrices: P1 = K [I | (−fx·b, 0, 0)]."""
+def _kitti(path: Path, eyes: tuple[int, int]) -> RectifiedPairSettings:
+    """From the projection matrices of two ``eyes``: P1 = K [I | (−fx·b, 0, 0)], the first one's alike."""
+    names = [f"P{eye}" for eye in eyes]
     try:
-        rows = dict(
-            line.split(":", 1) for line in path.read_text(encoding="ascii").splitlines() if ":" in line
-        )
-        P0, P1 = (np.array(rows[name].split(), dtype=np.float64).reshape(3, 4) for name in ("P0", "P1"))
+        rows = dict(line.split(":", 1) for line in read_text(path).splitlines() if ":" in line)
+        left, right = (np.array(rows[name].split(), dtype=np.float64).reshape(3, 4) for name in names)
     except OSError as error:
         raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
     except (KeyError, ValueError) as error:
         raise ConfigurationError(
-            "configuration.bad_sequence", f"{path}: rows P0: and P1: are wanted ({error})"
+            "configuration.bad_sequence", f"{path}: rows {names[0]}: and {names[1]}: are wanted ({error})"
         ) from error
     return RectifiedPairSettings(
-        fx_px=float(P0[0, 0]),
-        fy_px=float(P0[1, 1]),
-        cx_px=float(P0[0, 2]),
-        cy_px=float(P0[1, 2]),
-        right_cx_px=float(P1[0, 2]),
-        baseline_m=float(P0[0, 3] - P1[0, 3]) / float(P0[0, 0]),
+        fx_px=float(left[0, 0]),
+        fy_px=float(left[1, 1]),
+        cx_px=float(left[0, 2]),
+        cy_px=float(left[1, 2]),
+        right_cx_px=float(right[0, 2]),
+        baseline_m=float(left[0, 3] - right[0, 3]) / float(left[0, 0]),
     )

@@ -94,11 +94,10 @@ class Judgement(NamedTuple):
 
 
 class _Misread(NamedTuple):
-    """The mistake that explains the samples, in ``words``, and the ``noise`` they have without it."""
+    """The mistake that explains the samples, in ``words``."""
 
     cause: str
     words: str
-    noise: Noise
 
 
 def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[HandEyeResult, Judgement]:
@@ -125,7 +124,7 @@ def judged(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits | No
         doubts.append(Doubt("measurement.hand_eye.few_samples", few, refused=False))
         return Judgement(_gravest_first(doubts), None, None)
     as_given, others = readings.given(pairs), readings.others(pairs)
-    misread = _misread(as_given, others, limits)
+    misread = _misread(pairs, as_given, others, limits)
     if as_given is not None and misread is not None:
         words = f"{misread.words}, as given {_fits(as_given)}"
         return Judgement((Doubt(misread.cause, words, refused=True),), None, None)
@@ -145,8 +144,8 @@ def explained(
     if len(pairs) < limits.least_samples:
         return error
     as_given, others = readings.given(pairs), readings.others(pairs)
-    misread = _misread(as_given, others, limits._replace(better=limits.explains))
-    if misread is None or math.degrees(misread.noise.camera_rotation) > limits.noise_deg:
+    misread = _misread(pairs, as_given, others, limits._replace(better=limits.explains))
+    if misread is None:
         return error
     words = f"{misread.words}, as given no solution ({error.cause})"
     return MeasurementFailed(misread.cause, words)
@@ -170,9 +169,12 @@ def _gravest_first(doubts: list[Doubt]) -> tuple[Doubt, ...]:
 
 
 def _misread(
-    as_given: Reading | None, others: tuple[Reading, ...], limits: JudgementLimits
+    pairs: PosePairs, as_given: Reading | None, others: tuple[Reading, ...], limits: JudgementLimits
 ) -> _Misread | None:
-    """The simplest of the readings that fit best, if they fit several times better than the given one."""
+    """The simplest of the readings that fit best, if they fit several times better than the given one, and
+    well enough to be believed themselves.
+    """
+    others = tuple(one for one in others if _excess(pairs, one.noise, one.scale, limits) <= 1.0)
     if not others or (as_given is not None and as_given.misfit < limits.better * others[0].misfit):
         return None
     near = [reading for reading in others if reading.misfit <= _AS_WELL * others[0].misfit]
@@ -180,7 +182,7 @@ def _misread(
     likely = [reading for reading in near if _mistakes(reading) == least]
     words = " or ".join(_describe_reading(reading) for reading in likely)
     cause = "misread" if all(reading.mistake for reading in likely) else "scale"
-    return _Misread(f"measurement.hand_eye.{cause}", f"likely {words}: {_fits(likely[0])}", likely[0].noise)
+    return _Misread(f"measurement.hand_eye.{cause}", f"likely {words}: {_fits(likely[0])}")
 
 
 def _mistakes(reading: Reading) -> int:
@@ -227,11 +229,21 @@ def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:
     return Doubt("measurement.hand_eye.scale", reason, off > limits.scale_refused)
 
 
+def _distance(pairs: PosePairs) -> float:
+    """How far the target was from the camera, in the middle (m)."""
+    return float(np.median(np.linalg.norm(pairs.P[:, :3, 3], axis=-1)))
+
+
+def _excess(pairs: PosePairs, noise: Noise, scale: float, limits: JudgementLimits) -> float:
+    """How many times what is believed without a question ``noise`` is, of camera lengths times ``scale``."""
+    shift = noise.camera_translation / (limits.noise_share * scale * _distance(pairs))
+    return max(math.degrees(noise.camera_rotation) / limits.noise_deg, shift)
+
+
 def _noise_doubts(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits) -> list[Doubt]:
     noise = result.residual_noise()
-    turn, shift = noise.camera_rotation, noise.camera_translation
-    distance = float(np.median(np.linalg.norm(pairs.P[:, :3, 3], axis=-1)))
-    excess = max(math.degrees(turn) / limits.noise_deg, shift / (limits.noise_share * distance))
+    turn, shift, distance = noise.camera_rotation, noise.camera_translation, _distance(pairs)
+    excess = _excess(pairs, noise, 1.0, limits)
     if excess <= 1.0:
         return []
     reason = (

@@ -30,6 +30,7 @@ from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.consensus import Parts, parts, start_of
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import all_motions
+from vision_pc.core.hand_eye.solvers.rotation_forms import angles_between, reread
 from vision_pc.core.se3 import Array
 
 _LEAST_TO_SHIFT = 4  # samples: a shifted list is one shorter
@@ -91,6 +92,10 @@ def _mistaken(pairs: PosePairs) -> Iterator[tuple[str, PosePairs]]:
     ):
         yield f"camera {words}", replace(pairs, P=how(pairs.P))
         yield f"hand {words}", replace(pairs, H=_on_the_hand(pairs, how))
+    turned = angles_between(np.swapaxes(pairs.P[:, :3, :3], -1, -2))
+    for words, R in reread(pairs.X_BT[:, :3, :3], turned):
+        hand = stacks.transform(R, pairs.X_BT[:, :3, 3])
+        yield f"hand rotations {words}", replace(pairs, H=_of_hand(pairs, hand))
     if len(pairs) >= _LEAST_TO_SHIFT:
         for step, where in ((1, "next"), (-1, "previous")):
             shifted = f"sides are shifted by one: each hand pose belongs to the {where} camera pose"
@@ -107,7 +112,11 @@ def _rolled(X: Array, step: int) -> Array:
 
 
 def _on_the_hand(pairs: PosePairs, how: Callable[[Array], Array]) -> Array:
-    X_BT = how(pairs.X_BT)
+    return _of_hand(pairs, how(pairs.X_BT))
+
+
+def _of_hand(pairs: PosePairs, X_BT: Array) -> Array:
+    """H of the equation for poses of the hand."""
     return X_BT if pairs.setup is Setup.EYE_IN_HAND else stacks.inverse(X_BT)
 
 
