@@ -10,16 +10,16 @@ ROOMS = measures.rooms(measures.ROOT)
 # What the house may weigh. Lowered with every change that takes something away; raised only by a change that
 # brings a capability, by what that needs, with the reason in its commit.
 BUDGET = {
-    "lines of conformance": 10_120,
-    "lines of laboratory": 15_640,
-    "lines of product": 75_150,
-    "modules": 600,
-    "lines of source": 100_500,
-    "lines of tests": 57_200,
-    "words of pages": 45_000,
+    "lines of conformance": 10_129,
+    "lines of laboratory": 15_630,
+    "lines of product": 76_752,
+    "modules": 619,
+    "lines of source": 102_097,
+    "lines of tests": 59_265,
+    "words of pages": 46_819,
     "words of the README": 700,
-    "configuration keys": 661,
-    "constants of vision without a tag": 379,
+    "configuration keys": 634,
+    "constants of vision without a tag": 373,
     "constants of the controller without a tag": 21,
 }
 

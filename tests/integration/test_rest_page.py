@@ -35,4 +35,6 @@ def test_the_block_of_the_page_works_against_up(up: str, tmp_path: Path) -> None
     assert API in block
     nowhere = {"COMPOSE_FILE": str(tmp_path / "none.yml")}  # no containers: there is no token
     printed = pasted(block, up, tmp_path, nowhere, "docker compose", 500.0)
+    if "This machine does not keep up" in printed:
+        pytest.skip("this machine did not keep up with real time")
     judge_rest_block(printed, tmp_path)

@@ -120,8 +120,7 @@ EXAMPLE_CHECKS = {
 }
 
 
-def test_the_notebook_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # where it records
+def test_the_notebook_runs_from_top_to_bottom() -> None:
     book = json.loads((ROOT / "examples" / "notebooks" / "first_run.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in book["cells"] if cell["cell_type"] == "code"]
     names: dict[str, Any] = {}

@@ -43,7 +43,7 @@ def test_the_file_is_that_of_the_tables(name: str) -> None:
 
 
 def test_no_file_lies_there_that_is_neither_made_nor_written_by_hand() -> None:
-    assert {path.name for path in FOLDER.iterdir()} == {*FILES, "helpers.st"}
+    assert {path.name for path in FOLDER.iterdir()} == {*FILES, "helpers.st", "sample.pcap"}
 
 
 # Structured text, as a strict compiler would run it.
