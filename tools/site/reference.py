@@ -105,7 +105,7 @@ def python_page() -> str:
 def _documented(path: str, thing: Any) -> str:
     if inspect.ismodule(thing):
         return f"## {path}\n\n{_docstring(thing)}"
-    parts = [f"## {path}", f"```python\n{path}{_signature(thing)}\n```", _docstring(thing)]
+    parts = [f"## {path}", f"```\n{path}{_signature(thing)}\n```", _docstring(thing)]
     made = inspect.signature(thing).return_annotation if inspect.isfunction(thing) else thing
     for name, member in inspect.getmembers(made) if inspect.isclass(made) and made is not str else ():
         public = not name.startswith("_") and getattr(member, "__module__", "").startswith("longreach")

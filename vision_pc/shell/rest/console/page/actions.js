@@ -235,7 +235,7 @@ function ready(step) {
 const calibrated = (step) => Boolean((step?.kind === 'looking-and-moving' && (shot?.tracked || shot?.calibration)) || (method() === 'corrected' ? shot?.tracked : shot?.calibration));
 
 function hint(step, due) {
-  if (step.calibrated) return calibrated(step) ? `ready${toward(goal())}` : 'after step 2, Calibrate';
+  if (step.kind === 'look-then-move') return calibrated() ? `ready${toward(goal())}` : 'after step 2, Calibrate';
   if (step.kind === due) return 'next';
   if (step.kind === 'visit') return 'calibrates where that is wanted';
   return '';
