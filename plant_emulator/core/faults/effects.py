@@ -77,12 +77,12 @@ def load_kg(active: Sequence[Injection], now_ns: int, healthy_kg: float) -> floa
 
 def object_shift_m(active: Sequence[Injection], now_ns: int) -> Array:
     """How far (3,), m, the object has slid along its own axes."""
-    shift = np.zeros(3)
+    slid = np.zeros(3)
     for injection in active:
         fault = injection.fault
         if isinstance(fault, ObjectMoves):
-            shift["xyz".index(fault.axis)] += 1e-3 * fault.speed_mm_s * injection.elapsed_s(now_ns)
-    return shift
+            slid["xyz".index(fault.axis)] += 1e-3 * fault.speed_mm_s * injection.elapsed_s(now_ns)
+    return slid
 
 
 def stuck_encoders(faults: Sequence[AnyFault]) -> set[int]:

