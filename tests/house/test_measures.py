@@ -12,9 +12,9 @@ ROOMS = measures.rooms(measures.ROOT)
 BUDGET = {
     "lines of conformance": 10_129,
     "lines of laboratory": 15_630,
-    "lines of product": 76_757,
+    "lines of product": 76_759,
     "modules": 619,
-    "lines of source": 102_102,
+    "lines of source": 102_104,
     "lines of tests": 59_265,
     "words of pages": 46_819,
     "words of the README": 700,

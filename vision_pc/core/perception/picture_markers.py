@@ -95,7 +95,9 @@ def search(
                 markers += [] if made is None else [made]
         unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
     if not requested or not requested <= {marker.number for marker in markers}:
-        markers += _read_quads(image, unread, markers, book, requested)
+        more = _read_quads(image, unread, markers, book, requested)
+        large = [marker for marker in more if marker.side_px >= LEAST_SIDE_PX]
+        markers += [marker for marker in large if looks_right(image, marker, _cells(book, marker.number))]
     edgeless = {number for number, place in read if not _is_known(markers, number, place)}
     alone = [quad for quad in unread if not any(_covers(marker.corners, quad) for marker in markers)]
     return MarkerSearch(
