@@ -68,8 +68,8 @@ RUN python -m testbed.lockstep.warm_up
 
 FROM services AS campaign
 USER root
-COPY --from=build /build/campaign.lock /build/wheels /tmp/added/
-RUN pip --python /opt/longreach/bin/python install --no-cache-dir --quiet --no-deps --require-hashes -r /tmp/added/campaign.lock \
-    && pip --python /opt/longreach/bin/python install --no-cache-dir --quiet --no-deps /tmp/added/longreach_laboratory-*.whl \
-    && rm -rf /tmp/added
+COPY --from=build /build/campaign.lock /build/wheels /opt/added/
+RUN pip --python /opt/longreach/bin/python install --no-cache-dir --quiet --no-deps --require-hashes -r /opt/added/campaign.lock \
+    && pip --python /opt/longreach/bin/python install --no-cache-dir --quiet --no-deps /opt/added/longreach_laboratory-*.whl \
+    && rm -rf /opt/added
 USER longreach

@@ -29,7 +29,7 @@ BROWSERS := chromium chromium-browser google-chrome
 # What `make test` leaves to `make test-all`: campaigns, mutants, and what needs programs of others.
 LABORATORY := $(addprefix tests/, \
 	bad_input browser packaging tools \
-	$(addprefix conformance/test_, c_controller.py mutants.py own_plant.py reference_suite.py runner.py) \
+	$(addprefix conformance/test_, c_controller.py mutants.py own_plant.py reference_suite.py runner.py first_hour.py) \
 	$(addprefix controller/test_, after_stop.py load_holding.py) \
 	dissector/test_tshark.py \
 	faults/test_vision.py \

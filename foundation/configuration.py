@@ -169,8 +169,8 @@ def validated(
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = _CAUSES.get(first["type"], first["type"])
         said = first["msg"].removeprefix("Value error, ")
-        told = said if cause != "unknown_key" else _like(model, first["loc"])
-        raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {told}{more}") from error
+        why = said if cause != "unknown_key" else _like(model, first["loc"])
+        raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {why}{more}") from error
 
 
 def _like(model: Any, loc: tuple[int | str, ...]) -> str:

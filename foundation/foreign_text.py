@@ -28,8 +28,6 @@ def other_separators(head: str, row: str) -> str | None:
         if head.count(sign) > head.count(","):
             commas = any(_DECIMAL_COMMA.fullmatch(cell.strip().strip('"')) for cell in row.split(sign))
             numbers = ", and decimal commas in numbers" if commas else ""
-            wanted = "commas and decimal points are wanted" if commas else "commas are wanted"
-            return (
-                f"{name} stand between columns{numbers}: {wanted} (a spreadsheet saves so as CSV in English)"
-            )
+            form = "commas and decimal points are wanted" if commas else "commas are wanted"
+            return f"{name} stand between columns{numbers}: {form} (a spreadsheet saves so as CSV in English)"
     return None

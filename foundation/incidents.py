@@ -38,9 +38,9 @@ def note_incident(service: str, cause: str, detail: str, path: Path | None = Non
     return incident
 
 
-def note_scheduling(service: str, wanted: int, obtained: str) -> None:
-    """Note that a service wanted the real-time class by its priority ``wanted`` and has not obtained it."""
-    if wanted > 0 and obtained != "fifo":
+def note_scheduling(service: str, priority: int, obtained: str) -> None:
+    """Note that a service asked for the real-time class by its ``priority`` and has not obtained it."""
+    if priority > 0 and obtained != "fifo":
         detail = f"{service} has no real-time class ({obtained}): expect late cycles while other work runs"
         note_incident(service, "machine.no_real_time", detail)
 

@@ -62,8 +62,8 @@ class ReadRecording(Mapping[str, RecordedTopic]):
         self.damages = found.damages
 
     def __repr__(self) -> str:
-        told = ", ".join(f"{name} ({len(topic.log_ns)})" for name, topic in self._topics.items())
-        return f"<ReadRecording: {told}>"
+        topics = ", ".join(f"{name} ({len(topic.log_ns)})" for name, topic in self._topics.items())
+        return f"<ReadRecording: {topics}>"
 
     def __getitem__(self, topic: str) -> RecordedTopic:
         if topic not in self._topics:

@@ -97,8 +97,11 @@ def served_after_expiry(master: Master) -> None:
 def status_bits(master: Master) -> None:
     spare = spare_word(master, watchdog_ms=SHORT_MS)
     for expected in (0, STATUS_FIELDBUS, 0):
-        got, told = master.word(STATUS), count(master, 2)
-        require(got & 0x8003 == expected and told == got, f"status {got:#06x}, diagnostics {told:#06x}")
+        got, diagnostics = master.word(STATUS), count(master, 2)
+        require(
+            got & 0x8003 == expected and diagnostics == got,
+            f"status {got:#06x}, diagnostics {diagnostics:#06x}",
+        )
         if expected == 0:
             master.done(word_request(spare, 1), "a write")
             wait(SHORT_MS + LATE_MS)

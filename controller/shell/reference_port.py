@@ -63,8 +63,8 @@ class _Reader:
         for _ in range(most):
             try:
                 if self._everywhere:
-                    data, told, _, source = self.socket.recvmsg(MAX_DATAGRAM_BYTES + 1, _TOLD_BYTES)
-                    self._note(source, told)
+                    data, ancillary, _, source = self.socket.recvmsg(MAX_DATAGRAM_BYTES + 1, _TOLD_BYTES)
+                    self._note(source, ancillary)
                 else:
                     data, source = self.socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
@@ -74,10 +74,10 @@ class _Reader:
             left_out += self.arrivals.put(data, source, session)
         return left_out
 
-    def _note(self, source: object, told: list[tuple[int, int, bytes]]) -> None:
+    def _note(self, source: object, ancillary: list[tuple[int, int, bytes]]) -> None:
         """Remember which of our addresses ``source`` asked; of strangers the newest few."""
         self.asked.pop(source, None)
-        self.asked[source] = _PACKET_INFO.unpack(told[0][2])[1]
+        self.asked[source] = _PACKET_INFO.unpack(ancillary[0][2])[1]
         if len(self.asked) > _ADDRESSES:
             del self.asked[next(iter(self.asked))]
 

@@ -240,13 +240,13 @@ def _detect_in_picture(
 
 def _unread(image: Image, dictionary: str, squares: int) -> str:
     """What the picture shows in place of markers of ``dictionary``."""
-    told = f"no marker of {dictionary} was read; {squares} squares look like markers"
+    reason = f"no marker of {dictionary} was read; {squares} squares look like markers"
     other = other_reading(image, dictionary, _DICTIONARIES)
     if other is None:
-        return told
+        return reason
     numbers = " ".join(map(str, other.numbers))
     how = f" if {other.how}" if other.how else ""
-    return f"{told}: as {other.dictionary}{how} they read {numbers}"
+    return f"{reason}: as {other.dictionary}{how} they read {numbers}"
 
 
 def _row(path: Path, marker: PictureMarker, other: list[PictureMarker]) -> tuple[str, ...]:

@@ -78,10 +78,10 @@ class Child:
         self._said_ready = threading.Event()
         self._oom_kills = oom_kills(_VMSTAT.read_text())
         self._signs = Listener(f"longreach-{os.getpid()}-{service.name}-{id(self):x}", time.monotonic_ns())
-        told = {SOCKET: self._signs.address, LONGEST_SILENCE: f"{_SIGNS_WITHIN_S * 1e6:.0f}"}
-        told |= {INCIDENTS: str(log.parent.absolute() / INCIDENT_FILE)}
-        told |= {SESSION_VARIABLE: service.session} if service.session else {}
-        told |= {SHARED_VARIABLE: service.feeds} if service.feeds else {}
+        environment = {SOCKET: self._signs.address, LONGEST_SILENCE: f"{_SIGNS_WITHIN_S * 1e6:.0f}"}
+        environment |= {INCIDENTS: str(log.parent.absolute() / INCIDENT_FILE)}
+        environment |= {SESSION_VARIABLE: service.session} if service.session else {}
+        environment |= {SHARED_VARIABLE: service.feeds} if service.feeds else {}
         self._process = subprocess.Popen(
             [sys.executable, "-m", service.module, *service.arguments],
             stdin=subprocess.DEVNULL,
@@ -89,7 +89,7 @@ class Child:
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            env=os.environ | told,
+            env=os.environ | environment,
             # Ctrl-C is ours to pass on, in order. Not a session of its own: kernels that share a processor
             # between sessions (sched_autogroup) would let the idle renderer take as much as vision.
             process_group=0,

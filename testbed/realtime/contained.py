@@ -46,10 +46,10 @@ def main(argv: list[str]) -> int:
     return status if status >= 0 else _SIGNALLED - status
 
 
-def free_directory(wanted: Path) -> Path:
-    """``wanted``, or with .2, .3, … after it the first that is not there: no start writes over another's."""
-    names = (wanted.name if number == 1 else f"{wanted.name}.{number}" for number in itertools.count(1))
-    return next(place for name in names if not (place := wanted.with_name(name)).exists())
+def free_directory(directory: Path) -> Path:
+    """``directory``, or with .2, .3, … after it the first that is not there: no start writes over another's."""
+    names = (directory.name if number == 1 else f"{directory.name}.{number}" for number in itertools.count(1))
+    return next(place for name in names if not (place := directory.with_name(name)).exists())
 
 
 if __name__ == "__main__":

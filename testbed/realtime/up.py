@@ -66,8 +66,8 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
 
 def show_real_time(supervisor: Supervisor) -> None:
     """Say so if plant or controller has no real-time class."""
-    told = {name: (child.ready or {}).get("scheduling") for name, child in supervisor.children.items()}
-    lacking = [name for name in (PLANT, CONTROLLER) if told.get(name) != "fifo"]
+    scheduling = {name: (child.ready or {}).get("scheduling") for name, child in supervisor.children.items()}
+    lacking = [name for name in (PLANT, CONTROLLER) if scheduling.get(name) != "fifo"]
     if lacking:
         said = f"no real-time class for {' and '.join(lacking)}: expect late cycles while other work runs"
         out.print(said, highlight=False)

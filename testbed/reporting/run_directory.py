@@ -157,8 +157,8 @@ def all_runs(runs: Path) -> list[KeptRun]:
     if not runs.is_dir():
         raise ConfigurationError("runs.no_directory", f"{runs}: no such directory; --out names another")
     found = (path for path in runs.iterdir() if path.is_dir() and _STAMP.fullmatch(path.name))
-    kept = map(record.read, found)
-    return sorted(kept, key=lambda run: (run.began, run.directory.name), reverse=True)
+    records = map(record.read, found)
+    return sorted(records, key=lambda run: (run.began, run.directory.name), reverse=True)
 
 
 def one_run(runs: Path, name: str) -> KeptRun:

@@ -46,9 +46,9 @@ class KeptRun(NamedTuple):
     @property
     def began(self) -> str:
         """When it began, UTC; by its directory's name, a local time, where no record says."""
-        told = self.facts.get("began")
-        if isinstance(told, str):
-            return told
+        began = self.facts.get("began")
+        if isinstance(began, str):
+            return began
         local_s = time.mktime(time.strptime(self.directory.name[: len("20260101-000000")], "%Y%m%d-%H%M%S"))
         return time.strftime(_UTC, time.gmtime(local_s))
 

@@ -21,7 +21,7 @@ class Key(NamedTuple):
 
     path: str
     value: str
-    told: str
+    comment: str
 
 
 class DescribedKey(NamedTuple):
@@ -60,7 +60,9 @@ def described_keys(config_dir: Path, pattern: str = "") -> list[DescribedKey]:
             if not (fnmatchcase(path, pattern) if "*" in pattern else pattern in path):
                 continue
             limits = allowed(schema, key.path)
-            found.append(DescribedKey(path, key.value, unit(path), limits, key.told, setters.get(path, ())))
+            found.append(
+                DescribedKey(path, key.value, unit(path), limits, key.comment, setters.get(path, ()))
+            )
     return found
 
 

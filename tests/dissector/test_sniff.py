@@ -115,9 +115,9 @@ def test_what_is_written_is_read_again_and_never_overwritten(tmp_path: Path) -> 
 
 
 def test_the_sample_holds_a_session_from_hello_to_bye() -> None:
-    told = CliRunner().invoke(app, ["--pcap", str(DOCS / "protocol" / "sample.pcap")]).output
-    assert " refused: " not in told
-    kinds = [line.split(" seq=")[0].rpartition(" ")[2] for line in told.splitlines()]
+    printed = CliRunner().invoke(app, ["--pcap", str(DOCS / "protocol" / "sample.pcap")]).output
+    assert " refused: " not in printed
+    kinds = [line.split(" seq=")[0].rpartition(" ")[2] for line in printed.splitlines()]
     assert (kinds[0], kinds[-1]) == ("Hello", "Bye")
     assert {"Welcome", "Command", "Acknowledgement", "ReferencePose", "State"} <= set(kinds)
 

@@ -40,8 +40,8 @@ def test_a_file_that_cannot_be_written_costs_the_note_alone(tmp_path: Path) -> N
 def test_a_line_that_is_no_incident_is_left_out(tmp_path: Path, line: str) -> None:
     path = tmp_path / "incidents"
     path.write_bytes(line.encode("latin-1") + b"\n")
-    kept = note_incident("plant", "service.crashed", "it fell", path)
-    assert IncidentFile(path).newest() == (kept,)
+    noted = note_incident("plant", "service.crashed", "it fell", path)
+    assert IncidentFile(path).newest() == (noted,)
 
 
 def test_only_the_newest_are_read_of_a_file_however_long(tmp_path: Path) -> None:
@@ -55,11 +55,11 @@ def test_only_the_newest_are_read_of_a_file_however_long(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("wanted", "obtained", "noted"), [(30, "fifo", 0), (30, "short_slice", 1), (0, "normal", 0)]
+    ("priority", "obtained", "noted"), [(30, "fifo", 0), (30, "short_slice", 1), (0, "normal", 0)]
 )
 def test_the_want_of_the_real_time_class_is_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wanted: int, obtained: str, noted: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, priority: int, obtained: str, noted: int
 ) -> None:
     monkeypatch.setenv(INCIDENTS, str(tmp_path / "incidents"))
-    note_scheduling("controller", wanted, obtained)
+    note_scheduling("controller", priority, obtained)
     assert [each.cause for each in incidents_here().newest()] == ["machine.no_real_time"] * noted

@@ -10,12 +10,12 @@ ROOMS = measures.rooms(measures.ROOT)
 # What the house may weigh. Lowered with every change that takes something away; raised only by a change that
 # brings a capability, by what that needs, with the reason in its commit.
 BUDGET = {
-    "lines of conformance": 10_129,
+    "lines of conformance": 10_132,
     "lines of laboratory": 15_630,
-    "lines of product": 76_759,
+    "lines of product": 76_756,
     "modules": 619,
     "lines of source": 102_104,
-    "lines of tests": 59_265,
+    "lines of tests": 59_302,
     "words of pages": 46_819,
     "words of the README": 700,
     "configuration keys": 634,

@@ -1,6 +1,7 @@
 """The containers themselves, where an engine runs: the blocks of the pages, crashes, tokens, the suites."""
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -18,8 +19,8 @@ from plant_emulator.core.truth import tool_error
 from plant_emulator.shell.recording import read_truth
 from testbed.realtime.launch import free_port
 from tests.support.crash_trials import Rig, judge, trials, until_healthy
+from tests.support.page_runner import blocks, documents, judge_rest_block, pasted, refusals, shell_blocks
 from tests.support.paths import ROOT
-from tests.support.shell_blocks import blocks, documents, judge_rest_block, pasted, refusals
 
 pytestmark = [pytest.mark.docker, pytest.mark.timeout(1800)]
 
@@ -66,9 +67,9 @@ class Containers(NamedTuple):
         return f"http://127.0.0.1:{self.port}"
 
     def call(self, *words: str, **environment: str) -> str:
-        told = os.environ | self.environment | environment
+        environment = os.environ | self.environment | environment
         done = subprocess.run(
-            [*self.spelling.split(), *words], env=told, capture_output=True, text=True, cwd=ROOT
+            [*self.spelling.split(), *words], env=environment, capture_output=True, text=True, cwd=ROOT
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -129,7 +130,7 @@ def test_compose_accepts_the_files(spelling: str) -> None:
 
 def test_the_first_block_of_the_page_runs(spelling: str, tmp_path: Path) -> None:
     project = described(spelling)
-    block = blocks("containers.md")[0]
+    block = shell_blocks("containers.md")[0]
     if spelling == SPELLINGS["v1"]:
         block = block.replace("--wait", "-d")
     try:
@@ -138,6 +139,21 @@ def test_the_first_block_of_the_page_runs(spelling: str, tmp_path: Path) -> None
         assert enabled["accepted"] is True
         assert refusals([look]) == []
         assert project.call("ps", "-q").split() == [], "the block ends what it began"
+    finally:
+        project.call("down", "-v")
+
+
+def test_the_block_of_the_readme_runs_and_answers_as_it_says(spelling: str, tmp_path: Path) -> None:
+    project, readme = described(spelling), (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = [one.text for one in blocks(readme) if one.text.startswith("docker compose")]
+    if spelling == SPELLINGS["v1"]:
+        block = block.replace("--wait", "-d").replace(
+            "curl -sS", "sleep 60; curl -sS --retry 30 --retry-all-errors"
+        )
+    (answer,) = re.findall(r"It answers `([^`…]*)", readme)
+    try:
+        printed = pasted(block, project.url, tmp_path, project.environment, spelling, 1200.0)
+        assert answer.strip() in printed
     finally:
         project.call("down", "-v")
 
@@ -155,7 +171,7 @@ def test_the_block_of_the_rest_page_brings_the_tool_to_the_object(
             socket.create_connection(("127.0.0.1", port), 1.0),
         ):
             pytest.fail(f"port {port} must not be published")
-    (block,) = blocks("rest.md")
+    (block,) = shell_blocks("rest.md")
     printed = pasted(block, containers.url, tmp_path, containers.environment, containers.spelling, 600.0)
     judge_rest_block(printed, tmp_path)
     time.sleep(1.0)
@@ -206,7 +222,7 @@ def test_the_suite_asks_a_controller_of_this_machine(containers: Containers, tmp
     assert controller.stdout is not None
     try:
         assert '"ready"' in controller.stdout.readline()
-        (block,) = [block for block in blocks("containers.md") if " conformance " in block]
+        (block,) = [block for block in shell_blocks("containers.md") if " conformance " in block]
         asked = block.replace("47000", str(port))
         printed = pasted(asked, containers.url, tmp_path, containers.environment, containers.spelling, 300.0)
         assert "HELLO is answered with WELCOME" in printed

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.page_runner import API, judge_rest_block, pasted, shell_blocks
 from tests.support.paths import CONFIGS
-from tests.support.shell_blocks import API, blocks, judge_rest_block, pasted
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow("a minute of motions"), pytest.mark.timeout(600)]
 
@@ -31,7 +31,7 @@ def up(tmp_path: Path) -> Iterator[str]:
 
 
 def test_the_block_of_the_page_works_against_up(up: str, tmp_path: Path) -> None:
-    (block,) = blocks("rest.md")
+    (block,) = shell_blocks("rest.md")
     assert API in block
     nowhere = {"COMPOSE_FILE": str(tmp_path / "none.yml")}  # no containers: there is no token
     printed = pasted(block, up, tmp_path, nowhere, "docker compose", 500.0)

@@ -27,10 +27,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_truth_comes_back_bit_by_bit(run: Path) -> None:
     (file,) = run.rglob("truth.mcap")
-    told, expected = longreach.read(file), read_truth(file)
-    truth = told["/plant/truth"]
-    assert told.complete
-    assert not told.damages
+    recorded, expected = longreach.read(file), read_truth(file)
+    truth = recorded["/plant/truth"]
+    assert recorded.complete
+    assert not recorded.damages
     assert truth["X_WT"].shape == (len(truth.log_ns), 4, 4)
     assert truth["q_lift_rad"].shape == truth.log_ns.shape
     at = {record.truth.time_ns: record.truth for record in expected.truths}

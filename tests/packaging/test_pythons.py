@@ -53,7 +53,7 @@ def test_the_lock_installs_and_the_demo_ends_at_the_object(version: str, tmp_pat
     call(python, "-m", "pip", "install", "--quiet", "--no-deps", "--require-hashes", "-r", lock, cwd=tmp_path)
     call(python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", wheel, cwd=tmp_path)
     (tmp_path / "empty").mkdir()
-    told = call(python.parent / "longreach", "demo", "--lockstep", "--seed", "1", cwd=tmp_path / "empty")
-    (verdict,) = [line for line in told.splitlines() if line.startswith("true error after look 1")]
+    printed = call(python.parent / "longreach", "demo", "--lockstep", "--seed", "1", cwd=tmp_path / "empty")
+    (verdict,) = [line for line in printed.splitlines() if line.startswith("true error after look 1")]
     print(f"Python {version}: {verdict}")
     assert "within ±5 mm in x and y" in verdict

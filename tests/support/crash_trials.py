@@ -28,7 +28,8 @@ class Rig(NamedTuple):
 
 class CrashTrial(NamedTuple):
     """One crash. ``ready_s``: from the signal until all links are up again. ``moved_mm``: of the tool in the
-    time watched after that. ``valves``: the largest command then, of 1. ``kept``: the other two live on.
+    time watched after that. ``valves``: the largest command then, of 1.
+    ``others_live``: the other two did not end.
     """
 
     service: str
@@ -37,8 +38,8 @@ class CrashTrial(NamedTuple):
     moved_mm: float
     valves: float
     group_state: str
-    kept: bool
-    told: str
+    others_live: bool
+    detail: str
 
 
 def until_healthy(face: httpx.Client) -> None:
@@ -112,8 +113,10 @@ def trial(rig: Rig, service: str, up_m: float) -> CrashTrial:
         moved_mm=float(1e3 * np.linalg.norm(np.array(state["X_BT"]["p_m"]) - at)),
         valves=max(map(abs, state["valves"])),
         group_state=state["group_state"],
-        kept=all(after[name] == before[name] for name in before if name != service),
-        told=next(each["detail"] for each in state["incidents"][::-1] if each["cause"] == "service.crashed"),
+        others_live=all(after[name] == before[name] for name in before if name != service),
+        detail=next(
+            each["detail"] for each in state["incidents"][::-1] if each["cause"] == "service.crashed"
+        ),
     )
 
 
@@ -121,7 +124,14 @@ def trials(rig: Rig, service: str, count: int) -> list[CrashTrial]:
     """Several, up and down in turn; a table of them is printed."""
     made = [trial(rig, service, 0.15 if number % 2 else -0.15) for number in range(count)]
     rows = [
-        (f"{t.moving_mm_s:.0f}", f"{t.ready_s:.1f}", f"{t.moved_mm:.1f}", t.valves, t.group_state, t.kept)
+        (
+            f"{t.moving_mm_s:.0f}",
+            f"{t.ready_s:.1f}",
+            f"{t.moved_mm:.1f}",
+            t.valves,
+            t.group_state,
+            t.others_live,
+        )
         for t in made
     ]
     columns = ("mm/s before", "s until ready", f"mm in {HOLD_S} s after", "valves", "group", "others live")
@@ -132,8 +142,8 @@ def trials(rig: Rig, service: str, count: int) -> list[CrashTrial]:
 def judge(one: CrashTrial) -> None:
     """The arm was moving, the service alone was started anew, and nothing moves by itself."""
     assert one.moving_mm_s > MOVING_MM_S
-    assert one.kept
+    assert one.others_live
     assert one.group_state in ("disabled", "error_stop")
     assert one.valves == 0.0
     assert one.moved_mm < LEAK_MM
-    assert f"{one.service} crashed with signal SIGKILL" in one.told
+    assert f"{one.service} crashed with signal SIGKILL" in one.detail

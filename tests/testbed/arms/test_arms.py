@@ -142,10 +142,10 @@ def test_a_file_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
 def test_an_arm_that_was_begun_is_the_one_it_was_begun_with(tmp_path: Path) -> None:
     own = tmp_path / "own"
     assert run("arm", "new", f"{own}", "--like", "long_crane", "--config-dir", str(CONFIGS)).exit_code == 0
-    begun, like = load_settings(own, {}), load_settings(CRANE, {})
-    assert begun.arm.name == "own"
-    assert begun._replace(arm=like.arm) == like
-    assert begun.arm.model_copy(update={"name": like.arm.name}) == like.arm
+    made, like = load_settings(own, {}), load_settings(CRANE, {})
+    assert made.arm.name == "own"
+    assert made._replace(arm=like.arm) == like
+    assert made.arm.model_copy(update={"name": like.arm.name}) == like.arm
     again = run("arm", "new", f"{own}", "--config-dir", str(CONFIGS))
     assert again.exit_code == 2
     (own / "plant.yaml").write_text("geometry: {telescope_m: 2.0}\n", encoding="utf-8")

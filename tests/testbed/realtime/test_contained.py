@@ -22,9 +22,9 @@ pytestmark = [pytest.mark.realtime, pytest.mark.slow("processes start")]
 def contained(how: str, incidents: Path) -> Iterator[tuple[subprocess.Popen[str], psutil.Process]]:
     """The outer process, and the service in it, which is ready."""
     words = [sys.executable, "-m", "testbed.realtime.contained", "tests.testbed.realtime.child_service", how]
-    told = os.environ | {INCIDENTS: str(incidents)}
+    environment = os.environ | {INCIDENTS: str(incidents)}
     with subprocess.Popen(
-        words, env=told, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as outer:
         assert outer.stdout is not None
         while "ready" not in outer.stdout.readline():
@@ -56,17 +56,17 @@ def test_the_end_that_was_asked_for_is_no_crash(tmp_path: Path, number: signal.S
 
 def test_a_service_that_refuses_to_start_has_not_crashed(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "testbed.realtime.contained", "tests.testbed.realtime.child_service"]
-    told = os.environ | {INCIDENTS: str(tmp_path / "incidents")}
-    done = subprocess.run([*words, "refuses"], env=told, capture_output=True, text=True, timeout=20.0)
+    environment = os.environ | {INCIDENTS: str(tmp_path / "incidents")}
+    done = subprocess.run([*words, "refuses"], env=environment, capture_output=True, text=True, timeout=20.0)
     assert (done.returncode, "extra inputs" in done.stderr) == (2, True)
     assert not (tmp_path / "incidents").exists()
 
 
 def test_each_start_records_in_a_directory_of_its_own(tmp_path: Path) -> None:
     assert RECORDS == service_main.RECORDS
-    wanted = tmp_path / "plant_emulator"
+    directory = tmp_path / "plant_emulator"
     for name in ("plant_emulator", "plant_emulator.2", "plant_emulator.3"):
-        assert free_directory(wanted) == tmp_path / name
+        assert free_directory(directory) == tmp_path / name
         (tmp_path / name).mkdir()
 
 

@@ -112,11 +112,11 @@ def test_a_killed_service_is_told_with_its_signal(tmp_path: Path) -> None:
 
 
 def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str]:
-    told: list[str] = []
+    lines: list[str] = []
     until_s = time.monotonic() + within_s
-    while time.monotonic() < until_s and not any(wanted in line for line in told):
-        supervisor.watch(0.1, interval_s=0.02, tell=lambda _at_s, said: told.append(said))
-    return told
+    while time.monotonic() < until_s and not any(wanted in line for line in lines):
+        supervisor.watch(0.1, interval_s=0.02, tell=lambda _at_s, said: lines.append(said))
+    return lines
 
 
 @pytest.mark.slow("a service stalls and recovers")

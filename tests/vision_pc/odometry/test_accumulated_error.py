@@ -114,7 +114,7 @@ def held(covariance: Array, shown_by: list[int], by_offset: Array = NO_MOTION) -
     return PoseSpread(covariance, by_offset, np.zeros((2, 0, 2)), held_by)
 
 
-def begun(disparity_std_px: float) -> AccumulatedError:
+def new_error(disparity_std_px: float) -> AccumulatedError:
     error = AccumulatedError(disparity_std_px)
     assert np.abs(error.after(se3.identity(), EXACT, 0)).max() == 0.0
     return error
@@ -122,17 +122,17 @@ def begun(disparity_std_px: float) -> AccumulatedError:
 
 def test_an_offset_of_all_disparities_bends_the_way_as_it_is_told() -> None:
     by_offset = np.array([0.025, 0.0, 0.0, 0.0, 0.004, 0.0])  # m and rad a px
-    told = begun(0.2).after(se3.identity(), held(NOTHING, [0], by_offset), None)
-    std = np.sqrt(np.diag(told))
+    covariance = new_error(0.2).after(se3.identity(), held(NOTHING, [0], by_offset), None)
+    std = np.sqrt(np.diag(covariance))
     assert std[[0, 4]] == pytest.approx([0.005, 0.0008], rel=0.03)
-    assert told[0, 4] == pytest.approx(0.005 * 0.0008, rel=0.01)
+    assert covariance[0, 4] == pytest.approx(0.005 * 0.0008, rel=0.01)
     assert (std[[1, 2]] > 0.0).all()  # what is not linear in the offset goes astray
     assert (std[[1, 2]] < 0.05 * std[0]).all()
 
 
 def test_a_keyframes_error_goes_on_until_an_older_one_holds_the_pose_again() -> None:
     """Once it went on for ever: 50 mm were told of a hand that was back where it began, to 3 mm."""
-    error, own = begun(0.0), np.diag([1e-6] * 6)
+    error, own = new_error(0.0), np.diag([1e-6] * 6)
     error.after(se3.identity(), held(own, [0]), 1)
     error.after(se3.identity(), held(own, [1]), 2)
 
@@ -149,10 +149,10 @@ def test_a_keyframe_hands_on_what_its_own_points_hold() -> None:
     """Its few points were near, those of the first far away: once half of an error was told that was all
     there (road_open 8801: 75 mm, told 19).
     """
-    error = begun(0.0)
+    error = new_error(0.0)
     error.after(se3.identity(), held(np.diag([1e-4] * 3 + [1e-6] * 3), [0]), 1)
     aside = np.diag([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     spread = held(NOTHING, [0])._replace(held_by={0: np.eye(6) - aside, 1: aside})
-    told = error.after(se3.identity(), spread, None)
-    assert told[0, 0] >= 1e-4
-    assert np.diag(told)[1:] == pytest.approx(0.0, abs=1e-15)
+    covariance = error.after(se3.identity(), spread, None)
+    assert covariance[0, 0] >= 1e-4
+    assert np.diag(covariance)[1:] == pytest.approx(0.0, abs=1e-15)

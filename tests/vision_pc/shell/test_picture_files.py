@@ -51,10 +51,10 @@ def test_eyes_that_lost_different_pictures_are_matched_by_their_times(tmp_path: 
     assert len(found.files) == 22
     assert all(abs(int(one.stem) - int(other.stem)) == 3_000_000 for one, other in found.files)
     assert found.times_ns[:2] == [BEGAN_NS, BEGAN_NS + PERIOD_NS]
-    told = " ".join(found.notes)
-    assert "nanoseconds, from the pictures' names" in told
-    assert "1 pictures of the left eye and 1 of the right one" in told
-    assert "up to 3.0 ms apart" in told
+    notes = " ".join(found.notes)
+    assert "nanoseconds, from the pictures' names" in notes
+    assert "1 pictures of the left eye and 1 of the right one" in notes
+    assert "up to 3.0 ms apart" in notes
 
 
 def test_an_eye_that_begins_later_is_not_paired_with_other_moments(tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ class AlarmList:
         for cause, (priority, detail) in conditions.items():
             self._gone_s.pop(cause, None)
             known = self._active.get(cause)
-            begun = Alarm(next(self._numbers), cause, priority, detail, now_s, None, self._times(cause) + 1)
-            self._active[cause] = begun if known is None else known._replace(priority=priority, detail=detail)
+            new = Alarm(next(self._numbers), cause, priority, detail, now_s, None, self._times(cause) + 1)
+            self._active[cause] = new if known is None else known._replace(priority=priority, detail=detail)
             self._forget(cause)
 
     def happened(self, now_s: float, cause: str, detail: str, priority: int = LOW) -> None:

@@ -83,8 +83,8 @@ def _from_left_to_right(path: Path, cam0: Mapping[str, Any], cam1: Mapping[str, 
             if key == "T_cam_imu":
                 return np.asarray(right @ _inverse(left)), key
             return np.asarray(_inverse(right) @ left), key
-    wanted = "4x4, from cam0 to cam1; or T_cam_imu or T_imu_cam of both cameras"
-    raise missing(path, "cam1.T_cn_cnm1", wanted)
+    expected = "4x4, from cam0 to cam1; or T_cam_imu or T_imu_cam of both cameras"
+    raise missing(path, "cam1.T_cn_cnm1", expected)
 
 
 def _inverse(X: Matrix) -> Matrix:
@@ -120,11 +120,11 @@ def sensor_eye(path: Path, sensor: Mapping[str, Any]) -> Pinhole:
     """One camera in ASL's form, which differs from Kalibr's in two names."""
     kinds = {"radial-tangential": "radtan"}
     kind = sensor.get("distortion_model", "none")
-    told = {
+    model = {
         "distortion_coeffs": sensor.get("distortion_coefficients", []),
         "distortion_model": kinds.get(kind, kind),
     }
-    return _kalibr_eye(path, "camera", {**sensor, **told})
+    return _kalibr_eye(path, "camera", {**sensor, **model})
 
 
 def _kalibr_eye(path: Path, name: str, cam: Mapping[str, Any]) -> Pinhole:

@@ -50,9 +50,9 @@ def eye_files(left: Path, right: Path, rate_hz: float) -> EyeFiles:
     """
     lefts, rights = pictures_in(left), pictures_in(right)
     chosen, notes = matched_pictures(lefts, rights)
-    times, told = _times(left, lefts, rate_hz)
+    times, source = _times(left, lefts, rate_hz)
     files = [(lefts[i], rights[j]) for i, j in chosen]
-    return EyeFiles(files, [times[i] for i, _ in chosen], (told, *notes))
+    return EyeFiles(files, [times[i] for i, _ in chosen], (source, *notes))
 
 
 def matched_pictures(lefts: list[Path], rights: list[Path]) -> tuple[list[tuple[int, int]], list[str]]:
@@ -148,8 +148,8 @@ def _times(left: Path, lefts: list[Path], rate_hz: float) -> tuple[list[int], st
     stamps = times_of_names(lefts)
     if stamps is not None:
         return stamps.times_ns, f"times: {stamps.unit}, from the pictures' names"
-    told = f"times: {rate_hz:g} pairs a second are taken, as names hold no time and there is no times.txt"
-    return [round(index * 1e9 / rate_hz) for index in range(len(lefts))], told
+    source = f"times: {rate_hz:g} pairs a second are taken, as names hold no time and there is no times.txt"
+    return [round(index * 1e9 / rate_hz) for index in range(len(lefts))], source
 
 
 def _values(table: Path) -> list[Decimal]:

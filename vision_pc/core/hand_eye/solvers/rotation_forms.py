@@ -5,19 +5,24 @@ written in. The numbers are ambiguous: an Euler order has two triples for a rota
 a turn longer. Of both, that is chosen in which the hand turns between samples as far as the camera does.
 """
 
+import warnings
 from collections.abc import Iterator
+from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 
-_EULER = {  # the axes of the first, second and third number, each about the turned ones
+# Capitals: about axes that turn along, in the order of the numbers; small letters: about fixed ones.
+_EULER: dict[str, Literal["ZYX", "XYZ", "ZYZ", "xyz"]] = {
     "Z Y X": "ZYX",
     "X Y Z": "XYZ",
     "Z Y Z": "ZYZ",
+    "roll pitch yaw about fixed axes": "xyz",
 }
-_FIXED, _VECTOR = "roll pitch yaw about fixed axes", "a rotation vector"
+_VECTOR = "a rotation vector"
 _AGREE = np.radians(3.0)  # what turns may differ by, in the middle, for a reading to be looked at
 _ROUNDS = 5
 
@@ -27,11 +32,11 @@ def reread(R: Array, turned: Array) -> Iterator[tuple[str, Array]]:
     for what; those alone whose angles between samples are near ``turned`` (n, n) rad.
     """
     ways: list[tuple[str, Array]] = []
-    for read in (*_EULER, _FIXED, _VECTOR):
+    for read in (*_EULER, _VECTOR):
         numbers = _numbers(R, read)
         ways += [
             (f"are {written}, read as {read}", _composed(numbers, written))
-            for written in (*_EULER, _FIXED, _VECTOR)
+            for written in (*_EULER, _VECTOR)
             if written != read
         ]
         ways.append((f"are radians, read as degrees of {read}", _composed(np.degrees(numbers), read)))
@@ -48,51 +53,25 @@ def angles_between(R: Array) -> Array:
 
 def _numbers(R: Array, read: str) -> Array:
     """Both triples (2, n, 3) rad that ``read`` makes into ``R``."""
+    rotation = Rotation.from_matrix(R)
     if read == _VECTOR:
-        v = stacks.log_so3(R)
+        v = rotation.as_rotvec()
         length = np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
         return np.stack([v, v * (1.0 - 2.0 * np.pi / length)])
-    order = _EULER.get(read, "ZYX")
-    found = _euler_angles(R, order)
+    order = _EULER[read]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # gimbal lock: one of its many triples will do
+        found = rotation.as_euler(order)
     middle = -found[:, 1] if order[0] == order[2] else np.pi - found[:, 1]
     other = np.stack([found[:, 0] + np.pi, middle, found[:, 2] + np.pi], axis=-1)
-    both = np.remainder(np.stack([found, other]) + np.pi, 2.0 * np.pi) - np.pi
-    return np.asarray(both[..., ::-1] if read == _FIXED else both)
-
-
-def _euler_angles(R: Array, order: str) -> Array:
-    """One triple (n, 3) rad with R = R_1(a) R_2(b) R_3(c) about the axes of ``order``."""
-    if order == "ZYZ":
-        first, second, third = (
-            np.arctan2(R[:, 1, 2], R[:, 0, 2]),
-            R[:, 2, 2],
-            np.arctan2(R[:, 2, 1], -R[:, 2, 0]),
-        )
-        return np.stack([first, np.arccos(np.clip(second, -1.0, 1.0)), third], axis=-1)
-    if order == "ZYX":
-        first, second, third = (
-            np.arctan2(R[:, 1, 0], R[:, 0, 0]),
-            -R[:, 2, 0],
-            np.arctan2(R[:, 2, 1], R[:, 2, 2]),
-        )
-    else:
-        first, second, third = (
-            np.arctan2(-R[:, 1, 2], R[:, 2, 2]),
-            R[:, 0, 2],
-            np.arctan2(-R[:, 0, 1], R[:, 0, 0]),
-        )
-    return np.stack([first, np.arcsin(np.clip(second, -1.0, 1.0)), third], axis=-1)
+    return np.asarray(np.remainder(np.stack([found, other]) + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def _composed(numbers: Array, written: str) -> Array:
-    """The rotations (..., 3, 3) that triples (..., 3) rad mean."""
-    if written == _VECTOR:
-        return stacks.exp_so3(numbers)
-    order, triple = _EULER.get(written, "ZYX"), numbers[..., ::-1] if written == _FIXED else numbers
-    turns = [
-        stacks.exp_so3(triple[..., k, None] * np.eye(3)["XYZ".index(axis)]) for k, axis in enumerate(order)
-    ]
-    return np.asarray(turns[0] @ turns[1] @ turns[2])
+    """The rotations (2, n, 3, 3) that triples (2, n, 3) rad mean."""
+    flat = numbers.reshape(-1, 3)
+    made = Rotation.from_rotvec(flat) if written == _VECTOR else Rotation.from_euler(_EULER[written], flat)
+    return np.asarray(made.as_matrix().reshape(*numbers.shape[:-1], 3, 3))
 
 
 def _chosen(candidates: Array, turned: Array) -> tuple[Array, float]:
@@ -109,8 +88,8 @@ def _chosen(candidates: Array, turned: Array) -> tuple[Array, float]:
         for _ in range(_ROUNDS):
             cost = np.median(off[:, :, pick, np.arange(n)], axis=-1)  # (2, n)
             pick = np.argmin(cost, axis=0)
-        left = float(np.median(off[pick, np.arange(n)][:, pick, np.arange(n)]))
-        if best is None or left < best[1]:
-            best = candidates[pick, np.arange(n)], left
+        residual = float(np.median(off[pick, np.arange(n)][:, pick, np.arange(n)]))
+        if best is None or residual < best[1]:
+            best = candidates[pick, np.arange(n)], residual
     assert best is not None
     return best
