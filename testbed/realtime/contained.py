@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
 
 
 def free_directory(directory: Path) -> Path:
-    """``directory``, or with .2, .3, … after it the first that is not there: no start writes over another's."""
+    """``directory``, or with .2, .3, … after it the first that is not there: no start overwrites another."""
     names = (directory.name if number == 1 else f"{directory.name}.{number}" for number in itertools.count(1))
     return next(place for name in names if not (place := directory.with_name(name)).exists())
 
