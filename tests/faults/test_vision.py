@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from foundation.rest.server import RestServer
-from plant_emulator.core.faults.kinds import MarkerCovered
+from plant_emulator.core.faults.kinds import MarkerCovered, ObjectMoves
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
 from testbed.lockstep.clock import RunLog
@@ -90,6 +90,27 @@ def test_case_32_a_marker_of_the_wrong_id_or_size_is_refused(
 ) -> None:
     rig, registers = lockstep("vision.look.frames=3", assignment)
     assert fails_without_motion(rig, registers, "orientation-adjustment").cause in causes
+
+
+@pytest.mark.slow("three legs in lockstep")
+def test_an_object_that_moves_is_refused_with_its_speed_while_the_legs_are_driven() -> None:
+    rig = LockstepRig(
+        settings_of(1, ("controller.settled.time_ms=200",)),
+        1,
+        RunLog(),
+        lambda world: simulated_sight(world, load_eye_model(CONFIGS), 1),
+    )
+    rig.command("enable")
+    rig.world.plant.inject(ObjectMoves(speed_mm_s=-1.0, axis="y"))
+    speed = r"moves by (0\.9\d|1\.0\d) mm/s"
+    with (
+        bars(quiet=True) as shown,
+        shown.step("legs") as bar,
+        pytest.raises(MeasurementFailed, match=speed) as refused,
+    ):
+        rig.operate("local-track", {}, bar)
+    assert refused.value.cause == "target.moves"
+    assert rig.application.track is None
 
 
 @pytest.mark.slow("a whole trajectory in lockstep")

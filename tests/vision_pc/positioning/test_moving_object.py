@@ -79,6 +79,10 @@ def test_the_speed_of_an_object_is_found_over_the_legs(speed_mm_s: float) -> Non
         refuse_moving_object(samples(1e-3 * speed_mm_s), 3e-4)
 
 
+def test_what_is_known_to_creep_by_less_than_matters_is_not_refused() -> None:
+    refuse_moving_object(samples(5e-5, noise_m=1e-6), 1e-6)  # 0.7 mm in all
+
+
 def test_what_was_seen_too_seldom_says_nothing() -> None:
     assert object_motion([s._replace(X_CO=None) for s in samples(1e-3)], 3e-4) is None
     refuse_moving_object(samples(1e-3, noise_m=0.02), 3e-4)  # 15 mm in its own noise
