@@ -49,6 +49,7 @@ class RestServer(uvicorn.Server):
         places: int | None = None,
     ) -> None:
         refusals = RefusalLog(log)
+        access = access._replace(advise=getattr(app.state, "advise", None))
         self.refused = refusals.counts
         lanes = Lanes(access.stops, refusals)
         super().__init__(
@@ -93,6 +94,7 @@ def install_problems(
     ``explain``: the problem of a request that does not fit its schema. ``refuse``: see BodyLimit.
     ``advise``: what to do about a cause; documents have it as ``advice``.
     """
+    app.state.advise = advise  # for those who refuse before the application is asked
     app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES, within_s=BODY_WITHIN_S, refuse=refuse, advise=advise)
 
     @app.exception_handler(RequestValidationError)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from conformance.case import CaseOutcome, Summary
 from conformance.command import app as suites
-from conformance.command import print_step
+from conformance.command import print_step, result_line
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, write_records
 from conformance.runner import Manner, coupler_cases, run_coupler, run_reference
 from protocol.datagram_layout import Kind
@@ -55,6 +55,7 @@ def not_passed(summary: Summary) -> dict[int, str]:
 def test_a_sound_controller_passes_every_step_in_its_order() -> None:
     with ControllerUnderTest() as controller:
         summary = run_reference("127.0.0.1", controller.port, motion=True, manner=FIRST_HOUR)
+    assert not any(result_line(result).rstrip().endswith(":") for result in summary.results)
     said, total = io.StringIO(), len(REFERENCE_STEPS)
     print_step(Console(file=said, width=200), summary, REFERENCE_STEPS)
     assert said.getvalue().startswith(f"{total - 3} of {total} steps pass, 3 were not asked (3: ")

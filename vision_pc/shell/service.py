@@ -26,7 +26,6 @@ from nominal_arm.dimensions import dimensions, joint_ranges
 from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.camera_eyes import CameraEyes
-from vision_pc.application.console.advice import advice
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.steps import SessionStore
 from vision_pc.application.link_arm import LinkArm
@@ -64,8 +63,7 @@ class VisionService:
         self._log = log
         self._arm = arm
         self._programs = programs
-        access = access_without_token(config.api, "vision.api", os.environ, STOPS, PUBLIC)
-        self._access = access._replace(advise=advice)
+        self._access = access_without_token(config.api, "vision.api", os.environ, STOPS, PUBLIC)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         self._told: Callable[[], str] = str
         self._sessions = SessionStore(config.sessions_dir)

@@ -14,6 +14,7 @@ from foundation.rest.tokens import Role
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FaultCode
 from tests.vision_pc.shell.rest_server import served_bench
+from vision_pc.application.console.advice import advice
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.rest.console.routes import HEADER, Broadcast, message
 
@@ -139,6 +140,8 @@ def test_pictures_come_while_they_are_watched() -> None:
 @pytest.mark.realtime
 def test_the_page_is_anybodys_and_nothing_else_is() -> None:
     with served_bench(tokens={Role.LOOK: LOOK, Role.OPERATE: OPERATE}) as (url, _):
+        refused = httpx.get(f"{url}/state").json()
+        assert (refused["cause"], refused["advice"]) == ("refused.no_token", advice("refused.no_token"))
         page = httpx.get(url)
         assert page.status_code == 200
         assert "default-src 'none'" in page.headers["content-security-policy"]
