@@ -1,8 +1,10 @@
 """What every test may ask for."""
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import hypothesis
 import pytest
 
@@ -32,3 +34,12 @@ def config_dir() -> Path:
 def shipped_settings() -> Settings:
     """Every configuration file as shipped, read once."""
     return load_settings(CONFIGS, {})
+
+
+@pytest.fixture
+def one_core() -> Iterator[None]:
+    """What benchmarks ask for: OpenCV on one thread, as its peers here."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(before)

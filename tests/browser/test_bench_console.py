@@ -29,11 +29,9 @@ pytestmark = [
 DESK: Any = {"width": 1440, "height": 900}
 WATCHED_S = 60.0
 ROUNDS, WINDOW_S = 8, 10.0
-MINUTES = float(os.environ.get("CONSOLE_MINUTES", "30"))
 TRIALS = int(os.environ.get("CONSOLE_STOPS", "100"))
 EVERY_SCAN_HZ = 1000  # or as many as there are
-PAGE_KB, WATCHER_PERCENT, CANVAS_MS, HEAP_MB, STOP_MS = 250.0, 6.0, 120.0, 1.0, 150.0
-LEAST_HZ = 2.0  # pictures, of the ten that are sent: a page that shows none has nothing to keep
+PAGE_KB, WATCHER_PERCENT, CANVAS_MS, STOP_MS = 250.0, 6.0, 120.0, 150.0
 
 
 @contextlib.contextmanager
@@ -158,32 +156,6 @@ def test_watchers_cost_little_and_disturb_no_scan(tmp_path: Path) -> None:
     print(f"a watcher: {one:.1f} % of a core; five: {more:+.2f} ± {half:.2f} overruns (95 %, paired)")
     assert one <= WATCHER_PERCENT
     assert more - half <= 0.0
-
-
-def test_the_heap_of_an_open_page_stays_flat(browser: Browser, tmp_path: Path) -> None:
-    shown = "plant_service.renderer_scheduling=normal"  # or a busy machine has no pictures that could fill it
-    with services(tmp_path, shown) as rig, opened(browser, rig) as page:
-        debugger = page.context.new_cdp_session(page)
-        page.evaluate("""() => {
-            window.pictures = 0;
-            new MutationObserver(() => { window.pictures += 1; })
-                .observe(document.querySelector('#left'), { attributeFilter: ['data-frame'] });
-        }""")
-        page.wait_for_timeout(130_000)  # the strips are full
-        began_s, taken = time.monotonic(), []
-        while time.monotonic() - began_s < 60.0 * MINUTES:
-            debugger.send("HeapProfiler.collectGarbage")
-            used = debugger.send("Runtime.getHeapUsage")["usedSize"] / 1e6
-            taken.append((time.monotonic() - began_s, used))
-            page.wait_for_timeout(20_000)
-        rate_hz = page.evaluate("window.pictures") / (130.0 + time.monotonic() - began_s)
-    times_s, used_mb = np.transpose(taken)
-    (slope, _), covariance = np.polyfit(times_s / 600.0, used_mb, 1, cov=True)
-    print(f"\nheap over {MINUTES:g} min: {used_mb[0]:.2f} to {used_mb[-1]:.2f} MB, "
-          f"{slope:+.3f} ± {1.96 * covariance[0, 0] ** 0.5:.3f} MB in 10 min, "
-          f"{rate_hz:.1f} pictures a second")  # fmt: skip
-    assert slope <= HEAP_MB
-    assert rate_hz >= LEAST_HZ
 
 
 def moving(rig: Running, number: int) -> None:

@@ -2,9 +2,12 @@
 
 from typing import Any
 
+import pytest
+
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.plant import Plant
+from protocol.errors import ConfigurationError
 from protocol.process_image import CONTROL_ENABLE, ValveImage
 from tests.support.paths import CONFIGS
 
@@ -16,6 +19,15 @@ SHUT: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 def plant_config(**changes: Any) -> PlantConfig:
     """plant.yaml with ``changes`` laid over it."""
     return load(PlantConfig, CONFIGS / "plant.yaml", changes)
+
+
+def assert_refused(changes: dict[str, Any], parts: list[str]) -> None:
+    """``changes`` are refused in one line that has every one of ``parts``: key, value, limit, reason."""
+    with pytest.raises(ConfigurationError) as caught:
+        plant_config(**changes)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert [part for part in parts if part not in message] == []
 
 
 class Driver:

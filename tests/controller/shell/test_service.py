@@ -178,6 +178,18 @@ async def connect(arm: NominalArm) -> AsyncIterator[Connect]:
         yield connected
 
 
+async def _lifting(child: Controller, connect: Connect) -> Client:
+    """Its client, once the arm is on its way 0.4 m up and the lift's valve is open."""
+    client = await connect(child)
+    await client.enabled()
+    assert client.state is not None
+    here = client.state.X_BT
+    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
+    assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
+    await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.02)
+    return client
+
+
 def _ports(server: PlantServer, *settings: str) -> tuple[str, ...]:
     ports = (f"controller.plant_link.port={server.port}", "controller.reference_link.port=0")
     return ("--set", *ports, *PATIENT, *settings)
@@ -232,13 +244,7 @@ async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
 ) -> None:
     child = await start(*_ports(server), "--record-dir", str(tmp_path / "flights"))
     await child.wait_ready()
-    client = await connect(child)
-    await client.enabled()
-    assert client.state is not None
-    here = client.state.X_BT
-    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
-    assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
-    await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.01)
+    client = await _lifting(child, connect)
     client.close()  # no BYE: the vision PC has died
     async with asyncio.timeout(READY_S):
         while server.written[-1].control != 0:  # noqa: ASYNC110 - the plant has no event to wait for
@@ -268,13 +274,7 @@ async def test_sigterm_while_moving_ramps_down_and_centres(
 ) -> None:
     child = await start(*_ports(server))
     await child.wait_ready()
-    client = await connect(child)
-    await client.enabled()
-    assert client.state is not None
-    here = client.state.X_BT
-    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
-    assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
-    await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.02)
+    await _lifting(child, connect)
     before = len(server.written)
     status, _ = await child.ended(signal.SIGTERM)
     assert status == 0

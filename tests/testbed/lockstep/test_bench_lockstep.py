@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import cv2
 import pytest
 
 from laboratory.experiments.positioning.corrected_run import prepared
@@ -26,7 +25,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.pixel_sensor import PixelSensor
 
-pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.usefixtures("one_core"), pytest.mark.bench, pytest.mark.timeout(1800)]
 
 MOST_REST = 0.25  # of the whole: what is neither plant nor controller, renderer, markers nor odometry
 SECONDS = 20.0
@@ -96,14 +95,6 @@ def report(what: str, spent: Spent) -> float:
         each = f"{1e3 * seconds / calls:11.3f} {calls:7d}" if calls else ""
         print(f"  {part:12s} {each_ms * seconds:21.1f} {100 * seconds / spent.spent_s:6.0f} % {each}")
     return rest / spent.spent_s
-
-
-@pytest.fixture(autouse=True)
-def one_core() -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
 
 
 def standard() -> Settings:

@@ -3,11 +3,9 @@
 """
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoPair
 
-pytestmark = [pytest.mark.bench, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.usefixtures("one_core"), pytest.mark.bench, pytest.mark.timeout(900)]
 
 FRAMES = 60
 OFFSET_PX = (-0.3, 0.2)
@@ -48,14 +46,6 @@ CASES = [
     Case(3.0, 0.2, 5.0, False, 1.5),
     Case(1.5, 1.0, 2.0, True, 0.6, limit_scale=0.002),
 ]
-
-
-@pytest.fixture(autouse=True)
-def one_core() -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@ figures.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import cv2
 import pytest
@@ -17,15 +17,12 @@ from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics, look, marker_edges, markers
 from vision_pc.core.types import CameraCalibration, StereoPair
 
-pytestmark = [pytest.mark.bench, pytest.mark.benchmark(timer=time.process_time), pytest.mark.timeout(600)]
-
-
-@pytest.fixture(autouse=True)
-def one_core() -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
+pytestmark = [
+    pytest.mark.usefixtures("one_core"),
+    pytest.mark.bench,
+    pytest.mark.benchmark(timer=time.process_time),
+    pytest.mark.timeout(600),
+]
 
 
 FULL, TRACKED, ODOMETRY = 1.0, 0.5, 0.5  # times OpenCV's own

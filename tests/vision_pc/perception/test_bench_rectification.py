@@ -1,7 +1,7 @@
 """What rectifying a raw pair costs, beside OpenCV's own way."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -12,15 +12,7 @@ from vision_pc.config.choices import LensModel
 from vision_pc.core.perception.rectification import Rectifier, geometry
 from vision_pc.core.types import StereoPair
 
-pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
-
-
-@pytest.fixture(autouse=True)
-def one_core() -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    yield
-    cv2.setNumThreads(before)
+pytestmark = [pytest.mark.usefixtures("one_core"), pytest.mark.bench, pytest.mark.timeout(600)]
 
 
 def least_ms(work: Callable[[], object]) -> float:
