@@ -127,7 +127,10 @@ def paper_tables(done: Paper) -> list[rich.Table]:
         table(TABLES[name].title, columns, comparison_cells(beside))
         for name, beside in _comparisons(done).items()
     ]
-    return [*tables, table("what it took", ("",), [[line] for line in costs(by_kind(done))])]
+    rows = by_kind(done)
+    if "table3" in done.settings.tables and (sentence := comparison.residuals_tell(rows[TABLES["table3"].kind])):
+        tables.append(table("do residuals reveal the rotation's error (our question)", ("",), [[sentence]]))
+    return [*tables, table("what it took", ("",), [[line] for line in costs(rows)])]
 
 
 def paper_verdict(done: Paper) -> list[Check]:
