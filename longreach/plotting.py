@@ -38,11 +38,10 @@ def plot(what: Any) -> Plot:
 @plot.register(JudgedLook)
 def _look(what: JudgedLook) -> Plot:
     """Error and ellipse in the camera's x-y plane, y down as in the picture, inside the tolerance or not."""
-    look, verdict = what
-    cov = look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    verdict = what.verdict
     x, y, z = 1e3 * verdict.error_m
     limit = 1e3 * verdict.tolerance_m
-    major, minor, angle = expected_end(verdict.error_m, cov, verdict.tolerance_m).ellipse
+    major, minor, angle = expected_end(verdict.error_m, verdict.covariance, verdict.tolerance_m).ellipse
     reach = 1.15 * max(limit, abs(x) + 1e3 * major, abs(y) + 1e3 * major)
     with matplotlib.rc_context(STYLE):
         figure = Plot(figsize=(4.6, 4.6), layout="constrained")

@@ -110,7 +110,7 @@ def _expected_end(answer: JSON) -> ExpectedEnd:
 def _verdict(answer: JSON) -> LookVerdict:
     return LookVerdict(
         _metres(answer["error_mm"]),
-        _metres(answer["std_mm"]),
+        np.diag(_metres(answer["std_mm"]) ** 2),
         1e-3 * answer["tolerance_mm"],
         answer["clearance_m"],
         answer["verdict"] == "inside",

@@ -20,7 +20,7 @@ from vision_pc.core.types import Look
 SPREAD = 1e-6 * np.eye(6)
 LOOK = JudgedLook(
     Look(5, np.eye(4), np.eye(4), np.eye(4), 5, 0, 0, SPREAD, SPREAD, SPREAD, SPREAD, None),
-    LookVerdict(np.array([0.1, 0.0, 0.2]), np.full(3, 1e-3), 0.005, 0.1, inside=False, certain=True),
+    LookVerdict(np.array([0.1, 0.0, 0.2]), 1e-6 * np.eye(3), 0.005, 0.1, inside=False, certain=True),
 )
 
 

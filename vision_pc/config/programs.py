@@ -203,8 +203,8 @@ class PositioningSettings(StrictModel):
     open-loop step. They follow while odometry's error exceeds ``nudge_m`` and another one is worth it;
     ``outside`` more while odometry sees the tool outside half of the tolerance.
     An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
-    smaller step a gamble. ``axis_std_rad``: how far the camera's axis, along which ``clearance_m`` is kept,
-    is off where its calibration has it; 0: it is there.
+    smaller step a gamble. ``axis_std_rad``: how far the camera's axis is off where its calibration has it,
+    the principal point's error over the focal length; 0: it is there.
     """
 
     clearance_m: float = Field(ge=0.0, le=1.0)

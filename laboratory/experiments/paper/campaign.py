@@ -128,7 +128,9 @@ def paper_tables(done: Paper) -> list[rich.Table]:
         for name, beside in _comparisons(done).items()
     ]
     rows = by_kind(done)
-    if "table3" in done.settings.tables and (sentence := comparison.residuals_tell(rows[TABLES["table3"].kind])):
+    if "table3" in done.settings.tables and (
+        sentence := comparison.residuals_tell(rows[TABLES["table3"].kind])
+    ):
         tables.append(table("do residuals reveal the rotation's error (our question)", ("",), [[sentence]]))
     return [*tables, table("what it took", ("",), [[line] for line in costs(rows)])]
 

@@ -225,8 +225,9 @@ def _has_orientation(row: Row) -> bool:
 
 
 def residuals_tell(rows: Sequence[Row]) -> str:
-    """Whether a match's residuals reveal the rotation's error, in a sentence: this project's own question, not the
-    paper's. Empty where fewer than three runs were matched.
+    """Whether a match's residuals reveal the rotation's error, in a sentence (our question, not the paper's).
+
+    Empty where fewer than three runs were matched.
     """
     reached = [row for row in rows if row.get("rotation_error_deg") is not None]
     if len(reached) < 3:

@@ -29,6 +29,14 @@ def lens(rng: np.random.Generator, _usual: Settings) -> JSON:
     return {"scene": {"camera": drawn}}
 
 
+@axis("0.7 px each way, one σ", "[E] what factory calibrations leave")
+def principal_point(rng: np.random.Generator, usual: Settings) -> JSON:
+    """Where both principal points are, beside the middle of the picture, where the calibration has them."""
+    camera, off = usual.scene.camera, rng.normal(0.0, 0.7, 2)
+    drawn = {"cx_px": 0.5 * (camera.width_px - 1) + off[0], "cy_px": 0.5 * (camera.height_px - 1) + off[1]}
+    return {"scene": {"camera": {"lens": drawn}}}
+
+
 @axis("noise 4 grey levels, the wall's contrast 12; not drawn", "[E] poor light, a smooth wall")
 def poor_light(_rng: np.random.Generator, _usual: Settings) -> JSON:
     """Pictures in which odometry drifts."""

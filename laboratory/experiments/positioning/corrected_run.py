@@ -25,7 +25,8 @@ from testbed.lockstep.simulated_measurements import SightMaker, load_eye_model, 
 from testbed.reporting.console import bars
 from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
-from vision_pc.core.positioning.expected_end import ExpectedEnd, ellipse_level
+from vision_pc.core.positioning.expected_end import ExpectedEnd, ellipse_level, expected_end
+from vision_pc.core.positioning.look_then_move import LookVerdict
 from vision_pc.core.se3 import Array
 
 _AVERAGED = 25  # truths at 50 Hz: half a second at rest
@@ -67,7 +68,8 @@ def prediction_of(end: ExpectedEnd, true_mm: Array) -> Prediction:
 class Branch(NamedTuple):
     """One look and its drive: true error, the servo's part, what was predicted, measured, mm.
 
-    ``before``: predicted before moving; ``after``: by odometry, before the last look.
+    ``before``: predicted before moving; ``after``: by odometry, before the last look. ``first`` and ``last``:
+    what the looks before and after the drive say of the error, judged by the error then.
     """
 
     true_mm: XYZ = UNKNOWN
@@ -77,6 +79,8 @@ class Branch(NamedTuple):
     worst_mm: float = math.nan
     before: Prediction = Prediction()
     after: Prediction = Prediction()
+    first: Prediction = Prediction()
+    last: Prediction = Prediction()
     steps: int | None = None
     ended: str = ""
     failure: str = ""
@@ -186,6 +190,7 @@ def commissioned(
 
 def driven(rig: LockstepRig, body: JSON) -> Branch:
     """One look and its drive; ``failure`` is what ended it early."""
+    began_mm = true_error_mm(rig)
     try:
         result: CorrectedResult = operate(
             rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0} | body
@@ -193,7 +198,7 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
     except LongreachError as error:
         return Branch(failure=f"{error.cause}: {error}")
     error_mm = true_error_mm(rig)
-    steps = result.positioning.steps
+    steps, looks = result.positioning.steps, result.positioning.looks
     reference_m = steps[-1].X_BT_ref[:3, 3] if steps else np.full(3, math.nan)
     off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - reference_m)
     X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
@@ -205,9 +210,15 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
         worst_mm=float(np.abs(error_mm[:2]).max()),
         before=prediction_of(result.expected, error_mm),
         after=prediction_of(result.seen, error_mm),
+        first=prediction_of(_seen(looks[0]), began_mm),
+        last=prediction_of(_seen(looks[-1]), error_mm),
         steps=len(steps),
         ended=result.positioning.ended,
     )
+
+
+def _seen(look: LookVerdict) -> ExpectedEnd:
+    return expected_end(look.error_m, look.covariance, look.tolerance_m)
 
 
 def operate(rig: LockstepRig, kind: str, body: JSON) -> Any:

@@ -156,7 +156,22 @@ def checks_of(rows: Sequence[PositioningRow], asked: Demands) -> list[Check]:
         *prediction_checks("two looks", predictions(rows, "look2", "before"), two, False),
         *prediction_checks("one look, by odometry", predictions(rows, "look1", "after"), one, False),
         *prediction_checks("one shot", predictions(rows, "one_shot", "before"), shot, False),
+        *_look_checks(rows, asked.honest),
     ]
+
+
+def _look_checks(rows: Sequence[PositioningRow], judged: bool) -> list[Check]:
+    """Whether looks at the start, at the end of the first drive and of the second know how wrong they are."""
+    places = {
+        "at the start": ("look1", "first"),
+        "after one": ("look1", "last"),
+        "after two": ("look2", "last"),
+    }
+    checks = []
+    for where, (branch, when) in places.items():
+        seen = predictions(rows, branch, when)
+        checks += prediction_checks(f"a look {where}", seen, worst_mm(rows, branch), judged)[:2]
+    return checks
 
 
 def _drives_apart(rows: Sequence[PositioningRow]) -> list[Check]:
@@ -172,7 +187,7 @@ def _drives_apart(rows: Sequence[PositioningRow]) -> list[Check]:
 
 
 def predictions(rows: Sequence[PositioningRow], name: str, when: str) -> list[Prediction]:
-    """The predictions of a branch, ``before`` moving or ``after`` it by odometry."""
+    """What a branch says of its error: ``before``, ``after`` by odometry, ``first`` or ``last`` look."""
     return [getattr(getattr(row, name), when) for row in rows]
 
 

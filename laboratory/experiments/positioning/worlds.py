@@ -66,7 +66,8 @@ class WorldName(StrEnum):
     CRANE_REAL = "crane-real"
 
 
-_HARDER = (axes_of_sight.lens, axes_of_sight.poor_light, axes_of_sight.tool_print, axes.wide_play)
+_LAB = (axes_of_sight.principal_point,)
+_HARDER = (*_LAB, axes_of_sight.lens, axes_of_sight.poor_light, axes_of_sight.tool_print, axes.wide_play)
 _REAL = (
     axes.mobile_valves,
     axes.load_holding,
@@ -86,6 +87,7 @@ _REAL = (
     axes.supply,
     axes_of_sight.rectification,
     axes_of_sight.lens,
+    axes_of_sight.principal_point,
     axes_of_sight.two_lenses,
     axes_of_sight.drift,
     axes_of_sight.stamps,
@@ -106,7 +108,7 @@ _REAL_DEMANDS = Demands(0.95, 0.99, q95_mm=3.5, honest=True)
 _CRANE_DEMANDS = Demands(0.90, 0.97, q95_mm=3.5, honest=True)
 
 WORLDS: Mapping[WorldName, DrawnWorld] = {
-    WorldName.LAB: DrawnWorld((), _LAB_DEMANDS, "usual"),
+    WorldName.LAB: DrawnWorld(_LAB, _LAB_DEMANDS, "usual"),
     WorldName.HARDER: DrawnWorld(_HARDER, Demands(0.95), "harder"),
     WorldName.REAL: DrawnWorld(_REAL, _REAL_DEMANDS, "harder"),
     WorldName.CRANE_REAL: DrawnWorld(_REAL, _CRANE_DEMANDS, "harder", ARMS[1]),

@@ -22,7 +22,7 @@ from vision_pc.core.types import Look, StereoOffset
 
 X = transform(np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.2, 1.3]))
 LENGTHS_M = np.array([0.012, -0.0035, 0.4])
-VERDICT = LookVerdict(LENGTHS_M, np.abs(LENGTHS_M) / 10, 0.005, 0.1, inside=False, certain=True)
+VERDICT = LookVerdict(LENGTHS_M, np.diag(LENGTHS_M**2) / 100, 0.005, 0.1, inside=False, certain=True)
 
 
 def test_a_look() -> None:
@@ -39,6 +39,7 @@ def test_a_look() -> None:
     assert read.offset is not None
     assert (read.offset.x_px, read.offset.y_px) == (0.1, 0.2)
     assert np.allclose(verdict.error_m, VERDICT.error_m)
+    assert np.allclose(verdict.std_m, VERDICT.std_m)
     assert (verdict.inside, verdict.certain, verdict.tolerance_m) == (False, True, 0.005)
 
 

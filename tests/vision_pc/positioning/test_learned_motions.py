@@ -228,7 +228,7 @@ async def test_a_tool_that_stands_nearer_than_drives_end_stays(
     arm = BandedRig(10, [3e-3, 1.5e-3, 1.2e-3])
     await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
     track = await record_local_track(arm, arm, silent, settings(), BOOM)
-    changed = {"corrections": corrections, "aim_m": 0.0, "nudge_m": 3e-4}
+    changed = {"corrections": corrections, "aim_m": 0.0, "nudge_m": 3e-4, "axis_std_rad": 0.0}
     positioning, local_map = PROGRAMS.positioning.model_copy(update=changed), settings()
     residuals = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
     track = track._replace(residuals=residuals)
@@ -289,7 +289,7 @@ async def test_the_clearance_is_kept_along_an_axis_that_is_known_to_a_pixel() ->
     arm = BandedRig(10, [0.0, 0.0, 0.0])
     track = await record_local_track(arm, arm, silent, settings(), BOOM)
     look = await arm.look()
-    turned = PROGRAMS.positioning.model_copy(update={"axis_std_rad": 0.004})
-    aside, exact = (end_by_look(np.zeros(3), look, track, each) for each in (turned, PROGRAMS.positioning))
+    stated = (PROGRAMS.positioning.model_copy(update={"axis_std_rad": std}) for std in (0.004, 0.0))
+    aside, exact = (end_by_look(np.zeros(3), look, track, each) for each in stated)
     grown = np.diag(aside.covariance - exact.covariance)
-    assert grown == pytest.approx([(0.004 * turned.clearance_m) ** 2] * 2 + [0.0])
+    assert grown == pytest.approx([(0.004 * PROGRAMS.positioning.clearance_m) ** 2] * 2 + [0.0])

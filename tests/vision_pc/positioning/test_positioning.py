@@ -159,6 +159,15 @@ async def test_verdict(error_mm: tuple[float, float], std_mm: float, inside: boo
     look = await rig(7).look()
     look.X_CO[:3, 3] = look.X_CM[:3, 3] + np.array([error_mm[0] / 1e3, error_mm[1] / 1e3, CLEARANCE])
     covariance = np.eye(6) * (std_mm / 1e3) ** 2 / 2.0
-    verdict = judge(look._replace(cov_CM=covariance, cov_CO=covariance), SETTINGS)
+    exact = SETTINGS.model_copy(update={"axis_std_rad": 0.0})
+    verdict = judge(look._replace(cov_CM=covariance, cov_CO=covariance), exact)
     assert verdict.std_m == pytest.approx([std_mm / 1e3] * 3)
     assert (verdict.inside, verdict.certain) == (inside, certain)
+
+
+async def test_a_look_at_bodies_far_apart_knows_the_axis_only_to_a_pixel() -> None:
+    look = await rig(7).look()
+    look.X_CO[2, 3] = look.X_CM[2, 3] + 0.7
+    turned, exact = (SETTINGS.model_copy(update={"axis_std_rad": std}) for std in (2e-3, 0.0))
+    grown = judge(look, turned).covariance - judge(look, exact).covariance
+    assert np.diag(grown) == pytest.approx([1.4e-3**2, 1.4e-3**2, 0.0])

@@ -152,9 +152,8 @@ def lens_covariance(X: Array, settings: MarkerSettings, radial_std: float) -> Ar
     """What errors of the focal length and of k1, which both eyes share, do: the one stretches every range,
     the other moves what is far from the middle of the picture, radially.
 
-    An error of the principal point is left out: it turns all directions alike, which is to say that C lies
-    a little otherwise in the camera's body, and no relation between things seen changes but the direction in
-    which a clearance is kept (``PositioningSettings.axis_std_rad``).
+    An error of the principal point is left out: it turns all directions alike, so it is no error of one body
+    but of what two differ by in depth (``look_then_move.error_covariance``).
     """
     covariance = np.diag([0.0, 0.0, (settings.focal_std * float(X[2, 3])) ** 2, 0.0, 0.0, 0.0])
     if radial_std > 0.0:

@@ -26,17 +26,22 @@ _IMPROVEMENT = 0.8  # a further input must bring the error below this share of t
 class LookVerdict(NamedTuple):
     """One look against the tolerance.
 
-    ``error_m`` (3,) = p_CO − p_CM − [0, 0, b] in camera axes, ``std_m`` (3,) its standard deviation.
+    ``error_m`` (3,) = p_CO − p_CM − [0, 0, b] in camera axes, ``covariance`` (3, 3) m² its own.
     ``inside``: |e_x| and |e_y| within ``tolerance_m``; ``certain``: so also at every point of the 95 %
     intervals (or at none).
     """
 
     error_m: Array
-    std_m: Array
+    covariance: Array
     tolerance_m: float
     clearance_m: float
     inside: bool
     certain: bool
+
+    @property
+    def std_m(self) -> Array:
+        """Standard deviations (3,) of the error along the axes of C."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
 class Step(NamedTuple):
@@ -110,6 +115,16 @@ def positioning_error(look: Look, clearance_m: float) -> Array:
     return error
 
 
+def error_covariance(look: Look, depth_m: float, settings: PositioningSettings) -> Array:
+    """Covariance (3, 3) m² in C of the error between tool and object that are ``depth_m`` apart along z_C.
+
+    That of both as ``look`` sees them, and of the camera's axis: a principal point that is off turns all
+    directions alike, and so shows a difference of depth as one across. More frames do not average that out.
+    """
+    aside = (settings.axis_std_rad * depth_m) ** 2 * np.diag([1.0, 1.0, 0.0])
+    return np.asarray(look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + aside)
+
+
 def step(look: Look, settings: PositioningSettings, calibration: LocalCalibration) -> Step:
     """The input that this look asks for.
 
@@ -126,7 +141,7 @@ def step(look: Look, settings: PositioningSettings, calibration: LocalCalibratio
         )
     X_BT_ref = transform(look.X_BT[:3, :3], look.X_BT[:3, 3] + p_lc)  # (22)
     in_base = calibration.goal_covariance(p_lc) + settings.servo_std_m**2 * np.eye(3)
-    in_camera = R_BC.T @ in_base @ R_BC + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    in_camera = R_BC.T @ in_base @ R_BC + error_covariance(look, settings.clearance_m, settings)
     in_camera += np.diag((settings.strain_std * c_delta) ** 2)
     return Step(p_lc, X_BT_ref, expected_end(np.zeros(3), in_camera, settings.tolerance_m))
 
@@ -134,13 +149,13 @@ def step(look: Look, settings: PositioningSettings, calibration: LocalCalibratio
 def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
     """A look's error against the tolerance in x and y, with its uncertainty."""
     error = positioning_error(look, settings.clearance_m)
-    std = np.sqrt(np.diag(look.cov_CM)[:3] + np.diag(look.cov_CO)[:3])
-    across, spread = np.abs(error[:2]), _SIGMAS_95 * std[:2]
+    covariance = error_covariance(look, float(error[2]) + settings.clearance_m, settings)
+    across, spread = np.abs(error[:2]), _SIGMAS_95 * np.sqrt(np.diag(covariance)[:2])
     inside = bool(np.all(across <= settings.tolerance_m))
     certain = bool(
         np.all(across + spread <= settings.tolerance_m) or np.any(across - spread > settings.tolerance_m)
     )
-    return LookVerdict(error, std, settings.tolerance_m, settings.clearance_m, inside, certain)
+    return LookVerdict(error, covariance, settings.tolerance_m, settings.clearance_m, inside, certain)
 
 
 def reached(verdict: LookVerdict, settings: PositioningSettings) -> bool:

@@ -11,6 +11,7 @@ from vision_pc.core.calibration.arm_fields import boom_levers
 from vision_pc.core.calibration.local_error_model import LocalErrorModel, LocalTrack
 from vision_pc.core.calibration.take_up import slew_lever
 from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
+from vision_pc.core.positioning.look_then_move import error_covariance
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Look
 
@@ -174,16 +175,15 @@ def _uncorrected_backlash(x: Array, fitted: LocalErrorModel, settings: LocalErro
 
 
 def _look_covariance(look: Look, track: LocalTrack, settings: PositioningSettings) -> Array:
-    """Covariance (3, 3) m² of the error that ``look`` measures: of tool and object as they were seen, of the
-    axis along which the clearance is kept, of where an arm that goes to and fro was just then, and of an
-    object that was last elsewhere than expected.
+    """Covariance (3, 3) m² of the error that is left where ``look`` measures none: of tool and object as they
+    were seen, of the axis along which the clearance is kept, of where an arm that goes to and fro was just
+    then, and of an object that was last elsewhere than expected.
 
     Half of that way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its
     encoder. No motion ends any of that.
     """
-    aside = (settings.axis_std_rad * settings.clearance_m) ** 2 * np.diag([1.0, 1.0, 0.0])
     unsteady = ((0.5 * track.residual_motion) ** 2 + track.contradiction**2) * np.eye(3)
-    return np.asarray(look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + aside + unsteady)
+    return np.asarray(error_covariance(look, settings.clearance_m, settings) + unsteady)
 
 
 def _odometry_covariance(d: Array, look: Look, settings: LocalErrorModelSettings) -> Array:
