@@ -107,7 +107,8 @@ class FrameObservation(NamedTuple):
     ``cov_*`` is the whole covariance, ``bias_*`` the part of it that consecutive frames share
     (rectification offset, print size) and that averaging does not remove. ``rejected`` counts what was seen
     and refused, by cause (``unknown_id``, ``repeated_id``, ``edges``, ``residual``, ``wrong_size``,
-    ``ambiguous``). ``missing_*`` says why a pose is None: ``wrong_size``, ``ambiguous`` or ``not_seen``.
+    ``ambiguous``). ``missing_*`` says why a pose is None: ``wrong_size``, ``seen_twice``,
+    ``ambiguous`` or ``not_seen``.
     ``errors`` of the camera, once they were found: then the offset is no longer learnt frame by frame.
     """
 

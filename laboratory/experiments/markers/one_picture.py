@@ -268,6 +268,6 @@ def _as_in_rigs(config_dir: Path, family: str, picture: TagPicture) -> tuple[flo
 def _read_markers(
     image: Image, settings: MarkerSettings, region: markers.Region | None
 ) -> list[MarkerReading]:
-    rough, _ = markers.detect(image, settings, region)
+    rough = markers.detect(image, settings, region).corners
     refined = {number: marker_edges.refine(image, quad, lambda at: at) for number, quad in rough.items()}
     return [MarkerReading(number, corners) for number, corners in refined.items() if corners is not None]

@@ -48,7 +48,7 @@ def test_every_marker_of_moveits_pictures_is_found_and_refined(
         pytest.skip(f"{name} is absent")
     board = tuple(config.markers.object[0].model_copy(update={"id": number}) for number in range(1, count))
     settings = config.markers.model_copy(update={"dictionary": dictionary, "object": board})
-    found, refused = markers.detect(picture, settings)
+    found, refused, _ = markers.detect(picture, settings)
     refined = [
         marker_edges.refine(picture, quad, lambda pixels: intrinsics.normalised(camera.left, pixels))
         for quad in found.values()

@@ -25,7 +25,8 @@ def test_unknown_repeated_and_foreign_markers_are_refused(
     assert seen.X_CM is None
     assert seen.X_CO is None
     assert seen.markers == ()
-    assert seen.rejected == {"unknown_id": 1, "repeated_id": 2}
+    assert seen.rejected == {"unknown_id": 1, "repeated_id": 1}
+    assert (seen.missing_tool, seen.missing_object) == ("not_seen", "seen_twice")
 
 
 def in_shade(pair: StereoPair, columns: list[float], left: float) -> StereoPair:
@@ -62,7 +63,7 @@ def test_a_repeated_marker_is_no_better_where_shade_hides_one(
     middles = [float(exact_corners(eye, dark)[:, 0].mean()) for eye in (camera.left, camera.right)]
     seen = look.observe(in_shade(pair, middles, 0.25), camera, config.markers)
     assert seen.X_CM is None
-    assert seen.rejected == {"repeated_id": 2}
+    assert seen.rejected == {"repeated_id": 1}
 
 
 def test_marker_of_the_wrong_size_is_refused(

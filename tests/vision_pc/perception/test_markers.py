@@ -275,7 +275,7 @@ def test_other_families_are_found_and_refined(config: VisionConfig, dictionary: 
     tag = cv2.aruco.generateImageMarker(family, 2, 96)
     picture = np.full((300, 300), 200, np.uint8)
     picture[100:196, 90:186] = np.where(tag > 0, 200, 30)
-    found, refused = markers.detect(cv2.GaussianBlur(picture, (0, 0), 0.7), settings)
+    found, refused, _ = markers.detect(cv2.GaussianBlur(picture, (0, 0), 0.7), settings)
     assert (set(found), dict(refused)) == ({2}, {})
     exact = np.array([[89.5, 99.5], [185.5, 99.5], [185.5, 195.5], [89.5, 195.5]])
     np.testing.assert_allclose(found[2], exact, atol=1.5)
@@ -289,13 +289,13 @@ def test_detection_keeps_to_its_region(
 ) -> None:
     X_CO = facing(0.0, 0.0, 1.0)
     left = render(camera, object_markers(X_CO), generator).left
-    everything, _ = markers.detect(left, config.markers)
+    everything = markers.detect(left, config.markers).corners
     x0, y0 = (everything[1].min(axis=0) - 20).astype(int)
-    part, _ = markers.detect(left, config.markers, (int(x0), int(y0), int(x0) + 120, int(y0) + 120))
+    part = markers.detect(left, config.markers, (int(x0), int(y0), int(x0) + 120, int(y0) + 120)).corners
     assert set(everything) == {1, 2, 3}
     assert set(part) == {1}
     np.testing.assert_allclose(part[1], everything[1], atol=1.0)
-    assert markers.detect(left, config.markers, (1270, 0, 1280, 5)) == ({}, {})
+    assert markers.detect(left, config.markers, (1270, 0, 1280, 5)).corners == {}
 
 
 def test_the_same_pair_gives_the_same_bits(

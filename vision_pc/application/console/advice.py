@@ -49,6 +49,8 @@ _OF_CAUSE = {
     "measurement.object_not_seen": "Bring the object's markers into the left eye's picture, well lit;"
     " without markers, click a target in it.",
     "measurement.tool_not_seen": "Bring the tool's marker into the left eye's picture, well lit.",
+    "measurement.object_seen_twice": "Take the other print of these markers out of the picture.",
+    "measurement.tool_seen_twice": "Take the other print of the tool's marker out of the picture.",
     "measurement.marker_lost": "Begin where tool and object stay in the left eye's picture all the way.",
     "measurement.view_lost": "Keep the view of tool and object free; then repeat the step.",
     "measurement.object_inside_circle": "Use a smaller circle, or begin further away.",

@@ -11,7 +11,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.config.vision import LookSettings, MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import markers, object_of_interest
-from vision_pc.core.perception.markers import Region, Sighting
+from vision_pc.core.perception.markers import Detected, Region, Sighting
 from vision_pc.core.perception.stereo_pose import Priors
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
@@ -98,8 +98,9 @@ def observe(
     """
     priors = priors_after(previous, settings, pair.capture_ns)
     found = _found(pair, settings, previous)
-    sightings, unfit = markers.sight(pair, found.rough, camera, settings, priors)
-    seen = FrameMarkers(sightings, found.refused, unfit, found.since_full_search)
+    sightings, unfit = markers.sight(pair, found.detected.corners, camera, settings, priors)
+    unfit |= dict.fromkeys(found.detected.repeated, "repeated_id")
+    seen = FrameMarkers(sightings, found.detected.refused, unfit, found.since_full_search)
     stamp = FrameStamp(pair.frame_id, pair.capture_ns)
     return observation_of(stamp, seen, camera, settings, priors, previous)
 
@@ -191,13 +192,14 @@ def _missing(
         return None
     if any(sighting.observation.marker_id in ids for sighting in sightings):
         return "ambiguous"
-    told = {unfit.get(number) for number in ids}
-    return "wrong_size" if "wrong_size" in told else "not_seen"
+    reasons = {unfit.get(number) for number in ids}
+    if "repeated_id" in reasons:
+        return "seen_twice"
+    return "wrong_size" if "wrong_size" in reasons else "not_seen"
 
 
 class _Found(NamedTuple):
-    rough: dict[int, Array]
-    refused: Counter[str]
+    detected: Detected
     since_full_search: int
 
 
@@ -216,10 +218,10 @@ def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservatio
             pair.left, np.concatenate([m.corners_left for m in before]), settings.region_margin_px
         )
         needed = frozenset(m.marker_id for m in before)
-        rough, counts = markers.detect(pair.left, settings, region, needed)
-        if needed <= rough.keys():
-            return _Found(rough, counts, since)
-    return _Found(*markers.detect(pair.left, settings), 0)
+        detected = markers.detect(pair.left, settings, region, needed)
+        if needed <= detected.corners.keys():
+            return _Found(detected, since)
+    return _Found(markers.detect(pair.left, settings), 0)
 
 
 def _region(image: Image, corners: Array, margin: int) -> Region:
@@ -238,7 +240,7 @@ def combine(
     MeasurementFailed when the tool (``measurement.tool_not_seen``) or the object
     (``measurement.object_not_seen``) was seen in fewer frames than configured, or no frame was tried
     (``measurement.no_frames``). Where most frames showed a marker that could not be believed, the cause ends
-    in ``_wrong_size`` or ``_ambiguous`` instead. A right eye too far off its calibration is
+    in ``_wrong_size``, ``_seen_twice`` or ``_ambiguous`` instead. A right eye too far off its calibration is
     ``measurement.camera_off_calibration``.
     """
     tried = len(observations)

@@ -48,30 +48,39 @@ def corner_points(size: float) -> Array:
     return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
 
 
+class Detected(NamedTuple):
+    """Known markers of a picture by number, (4, 2) rough pixels (half a pixel and more), counts of refusals,
+    and the known numbers that it shows more than once.
+    """
+
+    corners: dict[int, Array]
+    refused: Counter[str]
+    repeated: frozenset[int]
+
+
 def detect(
     image: Image,
     settings: MarkerSettings,
     region: Region | None = None,
     requested: frozenset[int] | None = None,
-) -> tuple[dict[int, Array], Counter[str]]:
-    """Known markers in ``image`` by number, (4, 2) rough pixels (half a pixel and more), and counts of
-    refusals.
+) -> Detected:
+    """Known markers in ``image``.
 
     Only inside ``region`` if one is given. Where one of the ``requested`` numbers (None: of all that are
     known) is not read, the picture's logarithm is searched too: where a shadow crosses a marker, its white in
     the shade is nearer to black than to white in the light, but not by its ratio. Markers of other numbers
-    are counted as ``unknown_id``; a number that appears twice is trusted in neither place and counted as
-    ``repeated_id``.
+    are counted as ``unknown_id``; a number that appears twice is trusted in neither place.
     """
     x0, y0, x1, y1 = region or (0, 0, image.shape[1], image.shape[0])
     if x1 - x0 < 16 or y1 - y0 < 16:
-        return {}, Counter()
+        return Detected({}, Counter(), frozenset())
     part, begin = image[y0:y1, x0:x1], np.array([x0, y0])
     corners, refused, repeated = _read_markers(part, settings)
     if not (settings.sizes.keys() if requested is None else requested) <= corners.keys():
         more, also_refused, also_repeated = _read_markers(_even_light(part), settings)
         corners, refused, repeated = more | corners, refused | also_refused, repeated | also_repeated
-    return {number: quad + begin for number, quad in corners.items() if number not in repeated}, refused
+    single = {number: quad + begin for number, quad in corners.items() if number not in repeated}
+    return Detected(single, refused, frozenset(repeated))
 
 
 def _even_light(image: Image) -> Image:
@@ -91,8 +100,7 @@ def _read_markers(image: Image, settings: MarkerSettings) -> tuple[dict[int, Arr
         if number in settings.sizes and number not in repeated
     }
     unknown = sum(number not in settings.sizes for number in numbers)
-    again = sum(times[number] for number in repeated)
-    return corners, +Counter(unknown_id=unknown, repeated_id=again), repeated
+    return corners, +Counter(unknown_id=unknown), repeated
 
 
 @lru_cache(maxsize=8)
@@ -221,7 +229,7 @@ def _right_rays(
     margin = settings.region_margin_px
     top, bottom = int(rough[:, 1].min()) - margin, int(rough[:, 1].max()) + margin
     region = (0, max(top, 0), min(int(rough[:, 0].max()) + margin, width), min(bottom, height))
-    found, _ = detect(pair.right, settings, region, frozenset({number}))
+    found = detect(pair.right, settings, region, frozenset({number})).corners
     if number not in found:
         return None
     return _refined(pair.right, found[number], camera.right, number, settings)
