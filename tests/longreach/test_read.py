@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import longreach
+from longreach.replaying import Replay
 from plant_emulator.shell.recording import read_truth
 from protocol.errors import RequestRefused
 from tests.support.paths import CONFIGS
@@ -66,3 +67,8 @@ def test_what_was_cut_off_is_read_up_to_the_cut(run: Path, tmp_path: Path) -> No
     part = told["/plant/truth"]
     assert 0 < len(part.log_ns) < len(whole.log_ns)
     np.testing.assert_array_equal(part["X_WT"], whole["X_WT"][: len(part.log_ns)])
+
+
+@pytest.mark.parametrize(("alike", "damages", "identical"), [(3, 0, True), (2, 0, False), (3, 1, False)])
+def test_a_damaged_recording_is_no_identical_one(alike: int, damages: int, identical: bool) -> None:
+    assert Replay({"look": alike}, {"look": 3}, "", damages).identical is identical
