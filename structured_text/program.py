@@ -171,6 +171,9 @@ def _compiled(names: Declarations, machine: Any, finite: bool) -> bytes:
     parsed = llvm.parse_assembly(str(module))
     parsed.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)
+    # Vectors of six gain nothing here, and looking for them takes ten times as long as all the rest.
+    options.loop_vectorization = options.slp_vectorization = False
+    options.inlining_threshold = 60
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(parsed, builder)
     code: bytes = machine.emit_object(parsed)
