@@ -1,9 +1,10 @@
 """The compiled controller behind a pure face: datagrams, the plant's words and times in; datagrams and words out."""
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from controller.config import ControllerConfig
 from controller.core.plant_watch import PlantRefusal
@@ -19,14 +20,6 @@ Datagram = tuple[bytes, int]
 """Its bytes, and a number that tells its peer from others, not 0."""
 
 
-class Scanned(NamedTuple):
-    """What one scan leaves: words for the plant, datagrams to send, the fault that a run-time check found."""
-
-    valve_words: list[int]
-    sent: list[Datagram]
-    fault: RuntimeFault | None
-
-
 def texts(arm: NominalArm, config: ControllerConfig) -> dict[str, str]:
     """The program's texts by file name, with the constants of this configuration.
 
@@ -40,76 +33,115 @@ def texts(arm: NominalArm, config: ControllerConfig) -> dict[str, str]:
 class TextController:
     """The program with its memory. ``draw``: a new random number, not 0, not to be computed (4.2).
 
-    ``memory`` is the program's own, ``arm`` its view of the group; times are of the controller's monotonic clock.
+    ``memory`` is the program's own, ``arm`` its view of the group, ``state`` the bytes of its ST_LR_State. Times
+    are of the controller's monotonic clock. ``faults``: what run-time checks have found, newest last.
     """
 
     def __init__(
         self, arm: NominalArm, config: ControllerConfig, boot_id: int, draw: Callable[[], int]
     ) -> None:
-        """Raises ConfigurationError; StructuredTextError for a text that is not of the language."""
+        """Raises ConfigurationError, and StructuredTextError for a text that is not of the language."""
         self._program = Program(texts(arm, config))
         self._draw = draw
         self.memory = self._program.memory
-        self.inputs = self.memory.PRG_LR_Controller
-        self.inputs.nBootId = boot_id
-        self.arm = self.inputs.stArm
-        self._link = self.inputs.stLink
+        self._in = self.memory.PRG_LR_Controller
+        self._in.nBootId = boot_id
+        self.arm, self.state = self._in.stArm, self._in.stState.data
+        self._link = self._in.stLink
         self._received = [_Packet(each) for each in self.memory.aLR_Received]
         self._sent = [_Packet(each) for each in self._link.aSent]
         self._words = self.memory.aLR_Inputs.numbers
         self._valves = self.memory.aLR_Outputs.numbers
+        self._out: list[Datagram] = []
+        self.faults: deque[RuntimeFault] = deque(maxlen=16)
 
-    def receive(self, datagrams: Iterable[Datagram], now_ns: int) -> list[Datagram]:
-        """Take in datagrams between two scans; what is answered at once."""
-        self.inputs.xScan = False
-        return self._take(list(datagrams), now_ns)[0]
+    @property
+    def valve_words(self) -> list[int]:
+        """The words for the plant (12)."""
+        return self._valves.tolist()  # type: ignore[no-any-return]
 
-    def scan(
+    @property
+    def session(self) -> int:
+        """Number of the open session, 0 for none."""
+        return self._link.stOpen.nNumber  # type: ignore[no-any-return]
+
+    @property
+    def peer(self) -> int:
+        """The number of its peer."""
+        return self._link.stOpen.nPeer  # type: ignore[no-any-return]
+
+    @property
+    def ended_by(self) -> int:
+        """The reason of the last session's end."""
+        return self._link.eEnded  # type: ignore[no-any-return]
+
+    @property
+    def losses(self) -> tuple[int, int]:
+        """Datagrams that never came, and that came and were not used."""
+        return self._link.nLost, self._link.nDropped
+
+    def outgoing(self) -> list[Datagram]:
+        """The datagrams to send since the last call, in order."""
+        sent, self._out = self._out, []
+        return sent
+
+    def note(self, overruns: int, p50_us: int, p99_us: int, max_us: int) -> None:
+        """Figures of the shell for the next STATE; lateness of the scan in microseconds."""
+        self._in.nOverruns, self._in.nLatenessMax_us = overruns % 2**32, min(max_us, 2**32 - 1)
+        self._in.nLatenessP50_us, self._in.nLatenessP99_us = p50_us, p99_us
+
+    def take(self, datagrams: list[Datagram], now_ns: int) -> None:
+        """Take in datagrams between two scans; the answers are in ``outgoing``."""
+        self._in.xScan = False
+        for at in range(0, len(datagrams), _MOST):
+            self._run(datagrams[at : at + _MOST], now_ns)
+
+    def goodbye(self, now_ns: int) -> None:
+        """End the session, if there is one, with BYE SHUTDOWN."""
+        self._in.xScan, self._in.xGoodbye = False, True
+        self._run([], now_ns)
+        self._in.xGoodbye = False
+
+    def step(
         self,
         now_ns: int,
         sensed_ns: int,
         dt_s: float,
         words: Sequence[int] | PlantRefusal | None,
-        datagrams: Iterable[Datagram] = (),
-    ) -> Scanned:
+        *,
+        leaves: bool = False,
+    ) -> RuntimeFault | None:
         """One scan. ``words``: of the plant at ``sensed_ns``; None when it did not answer.
 
-        After a fault of a run-time check the scan is run once more to stop the arm: NUMERIC, valves off.
+        ``leaves``: ramp down and drop the enable. After the fault of a run-time check, which is returned, the
+        scan is run once more to stop the arm: NUMERIC, valves off.
         """
-        inputs = self.inputs
-        inputs.nSensed_ns, inputs.fDt = sensed_ns, dt_s
-        inputs.xPlant = words is not None and not isinstance(words, PlantRefusal)
-        inputs.nRefusal = words.code if isinstance(words, PlantRefusal) else 0
-        if inputs.xPlant:
+        told = self._in
+        refused = isinstance(words, PlantRefusal)
+        told.nSensed_ns, told.fDt, told.xShutdown = sensed_ns, dt_s, leaves
+        told.xPlant, told.nRefusal = words is not None and not refused, words.code if refused else 0
+        if told.xPlant:
             self._words[:] = words
-        waiting = list(datagrams)
-        inputs.xScan = False
-        early, fault = self._take(waiting[:-_MOST], now_ns) if len(waiting) > _MOST else ([], None)
-        inputs.xScan = True
-        sent, late = self._take(waiting[-_MOST:], now_ns)
-        fault = fault or late
+        told.xScan = True
+        fault = self._run([], now_ns)
         if fault is not None:
-            inputs.xRuntimeFault = True
-            sent, again = self._take([], now_ns)
-            inputs.xRuntimeFault = False
-            if again is not None:
+            told.xRuntimeFault = True
+            if self._run([], now_ns) is not None:  # not even that: all words zero is a valid image (10.5)
                 self._valves[:] = 0
-        return Scanned(self._valves.tolist(), early + sent, fault)
+            told.xRuntimeFault = False
+        return fault
 
-    def _take(self, datagrams: list[Datagram], now_ns: int) -> tuple[list[Datagram], RuntimeFault | None]:
-        self.inputs.nNow_ns = now_ns
-        sent: list[Datagram] = []
-        for at in range(0, max(len(datagrams), 1), _MOST):
-            part = datagrams[at : at + _MOST]
-            for place, (data, peer) in zip(self._received, part, strict=False):
-                place.put(data, peer, self._draw())
-            self.inputs.nReceived = len(part)
-            try:
-                self._program.run(_PROGRAM)
-            except ProgramFaulted as error:
-                return sent, error.fault
-            sent += [self._sent[k].datagram() for k in range(self._link.nSent)]
-        return sent, None
+    def _run(self, datagrams: list[Datagram], now_ns: int) -> RuntimeFault | None:
+        for place, (data, peer) in zip(self._received, datagrams, strict=False):
+            place.put(data, peer, self._draw())
+        self._in.nNow_ns, self._in.nReceived = now_ns, len(datagrams)
+        try:
+            self._program.run(_PROGRAM)
+        except ProgramFaulted as error:
+            self.faults.append(error.fault)
+            return error.fault
+        self._out += [self._sent[k].datagram() for k in range(self._link.nSent)]
+        return None
 
 
 class _Packet:

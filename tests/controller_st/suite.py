@@ -1,13 +1,11 @@
 """The compiled controller in the suite's simulated time, with the emulated plant beneath it in lockstep."""
 
-import itertools
 import random
 from functools import cache
-from pathlib import Path
 from typing import Any, Self
 
 from controller_st.program import TextController
-from foundation.configuration import load, merged, parse_overrides
+from foundation.configuration import parse_overrides
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from protocol.process_image import decode_valves, encode_sensors
@@ -38,9 +36,7 @@ class SimulatedTextController:
         self._socket: Any = SimulatedSocket(network)
         self.port = self._socket.address[1]
         self.next_ns = network.now_ns
-        self._words = [0] * 12
         self._waiting: list[tuple[bytes, int]] = []
-        self.faults: list[Any] = []
 
     def __enter__(self) -> Self:
         self._network.controllers.append(self)
@@ -55,26 +51,19 @@ class SimulatedTextController:
         while self._socket.inbox and self._socket.readable():
             data, (_, port) = self._socket.recvfrom(65_536)
             self._waiting.append((data, port))
-        if not self._in_scan and self._waiting:
+        due = self._network.clock_ns() >= self.next_ns
+        if due or not self._in_scan:
             waiting, self._waiting = self._waiting, []
-            self._send(self.controller.receive(waiting, self._network.clock_ns()))
-        if self._network.clock_ns() >= self.next_ns:
+            self.controller.take(waiting, self._network.clock_ns())
+        if due:
             self._scan()
             self.next_ns = max(self.next_ns + self._cycle_ns, self._network.now_ns)
-
-    def _scan(self) -> None:
-        self._plant.write(decode_valves(self._words))
-        sensors = encode_sensors(self._plant.read())
-        waiting, self._waiting = self._waiting, []
-        now_ns = self._network.clock_ns()
-        done = self.controller.scan(now_ns, now_ns, 1e-9 * self._cycle_ns, sensors, waiting)
-        if done.fault is not None:
-            self.faults.append(done.fault)
-        self._words = done.valve_words
-        self._send(done.sent)
-        self._plant.advance(self._cycle_ns)
-
-    def _send(self, datagrams: list[tuple[bytes, int]]) -> None:
-        for data, port in datagrams:
+        for data, port in self.controller.outgoing():
             self._socket.sendto(data, ("127.0.0.1", port))
 
+    def _scan(self) -> None:
+        self._plant.write(decode_valves(self.controller.valve_words))
+        now_ns = self._network.clock_ns()
+        words = encode_sensors(self._plant.read())
+        self.controller.step(now_ns, now_ns, 1e-9 * self._cycle_ns, words)
+        self._plant.advance(self._cycle_ns)
