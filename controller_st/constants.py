@@ -73,7 +73,9 @@ def constants_text(arm: NominalArm, config: ControllerConfig) -> str:
         )
     ]  # fmt: skip
     parts += ["END_TYPE", "", "VAR_GLOBAL CONSTANT"]
-    parts += [f"    {line}" for line in (*_tables(), *_link(arm, config), *_arm(settings), *_limits(settings))]
+    parts += [
+        f"    {line}" for line in (*_tables(), *_link(arm, config), *_arm(settings), *_limits(settings))
+    ]
     return "\n".join([*parts, "END_VAR", ""])
 
 

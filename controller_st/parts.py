@@ -1,8 +1,10 @@
-"""The compiled program in the places of the controller's own scan and session, for its shell and for lockstep."""
+"""The compiled program in the places of the controller's own scan and sessions, in shell and lockstep."""
 
+import hashlib
+import itertools
 import math
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from ipaddress import IPv4Address
 
 from controller.config import ControllerConfig
@@ -13,6 +15,7 @@ from controller.core.supervision import Fault
 from controller_st.program import TextController
 from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
+from protocol.authentication import LinkKey
 from protocol.axes_group import Mode
 from protocol.channel import LinkStatistics
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
@@ -23,7 +26,9 @@ from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent, SessionClosed, SessionOpened
 from protocol.session_factory import Source
 
-_STATE = struct.Struct("<QQHHHHQII18d14dd8I")  # ST_LR_State behind its header, as STATE lies in a datagram (1.2)
+_STATE = struct.Struct(
+    "<QQHHHHQII18d14dd8I"
+)  # ST_LR_State behind its header, as STATE lies in a datagram (1.2)
 _HEADER_BYTES = 40
 _OTHER = 1  # the number of a peer that is no address
 
@@ -70,9 +75,10 @@ class TextProgram(ScanProgram):
         six = [tuple(rest[at : at + 6]) for at in (0, 6, 12)]
         live = Mode(self._text.arm.eMode) in LIVE
         X_BT, X_BT_cmd = (Pose(tuple(rest[at : at + 3]), tuple(rest[at + 3 : at + 7])) for at in (18, 25))
+        states = GroupState(group), FaultCode(fault), Severity(severity)
         return ControllerView(
-            time_ns, cycle, GroupState(group), FaultCode(fault), Severity(severity), flags, motion, bool(done),
-            segment, six[0], six[1], six[2], X_BT, X_BT_cmd if live else X_BT, rest[32], rest[39], rest[40],
+            time_ns, cycle, *states, flags, motion, bool(done), segment, six[0], six[1], six[2],
+            X_BT, X_BT_cmd if live else X_BT, rest[32], rest[39], rest[40],
         )  # fmt: skip
 
 
@@ -150,7 +156,8 @@ class TextServer(ReferenceServer):
 
     def _number(self, source: Source) -> int:
         if isinstance(source, tuple):
-            return int(IPv4Address(source[0])) << 16 | source[1]
+            host, port = source
+            return int(IPv4Address(host)) << 16 | int(port)
         self._other = source
         return _OTHER
 
@@ -159,10 +166,19 @@ class TextServer(ReferenceServer):
 
 
 def text_parts(
-    arm: NominalArm, config: ControllerConfig, boot_id: int, draw: Callable[[], int]
+    arm: NominalArm, config: ControllerConfig, boot_id: int, key: LinkKey | None
 ) -> tuple[ScanProgram, ReferenceServer]:
-    """Scan and sessions of one program. Raises ConfigurationError as TextController does."""
-    text = TextController(arm, config, boot_id, draw)
+    """Scan and sessions of one program, in the place of ``own_parts``.
+
+    Session numbers are drawn from what ``boot_id`` holds above the 64 bits that WELCOME tells, so that a
+    rerun repeats them and nobody can compute them. Raises ConfigurationError as TextController does.
+    """
+    assert key is None  # ``constants`` refuses a configuration with one
+    secret, drawn = boot_id.to_bytes(32, "little"), itertools.count()
+
+    def draw() -> int:
+        made = hashlib.blake2b(next(drawn).to_bytes(8, "little"), digest_size=8, key=secret).digest()
+        return int.from_bytes(made, "little") or 1
+
+    text = TextController(arm, config, boot_id % 2**64 or 1, draw)
     return TextProgram(arm, config, text), TextServer(arm, config, text)
-
-

@@ -1,4 +1,4 @@
-"""The compiled controller behind a pure face: datagrams, the plant's words and times in; datagrams and words out."""
+"""The compiled controller behind a pure face: datagrams, words and times in; datagrams and words out."""
 
 import ctypes
 from collections import deque
@@ -33,7 +33,7 @@ def texts(arm: NominalArm, config: ControllerConfig) -> dict[str, str]:
 class TextController:
     """The program with its memory. ``draw``: a new random number, not 0, not to be computed (4.2).
 
-    ``memory`` is the program's own, ``arm`` its view of the group, ``state`` the bytes of its ST_LR_State. Times
+    ``memory`` is the program's own, ``arm`` its view of the group, ``state`` the bytes of ST_LR_State. Times
     are of the controller's monotonic clock. ``faults``: what run-time checks have found, newest last.
     """
 
@@ -117,10 +117,12 @@ class TextController:
         scan is run once more to stop the arm: NUMERIC, valves off.
         """
         told = self._in
-        refused = isinstance(words, PlantRefusal)
         told.nSensed_ns, told.fDt, told.xShutdown = sensed_ns, dt_s, leaves
-        told.xPlant, told.nRefusal = words is not None and not refused, words.code if refused else 0
-        if told.xPlant:
+        told.xPlant, told.nRefusal = False, 0
+        if isinstance(words, PlantRefusal):
+            told.nRefusal = words.code
+        elif words is not None:
+            told.xPlant = True
             self._words[:] = words
         told.xScan = True
         fault = self._run([], now_ns)

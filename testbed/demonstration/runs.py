@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import httpx
 
+from controller.core.scan_program import own_parts
+from controller_st.parts import text_parts
 from foundation.secret_source import read_secret
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.wall.bores import hole_places
@@ -15,6 +17,7 @@ from plant_emulator.core.fault_execution import obey
 from plant_emulator.core.faults.schedule import FaultOrder
 from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
+from testbed.controllers import ControllerKind
 from testbed.demonstration.sequence import (
     JSON,
     Recorder,
@@ -74,7 +77,14 @@ def run_demo(
     began = time.monotonic()
     end_on_sigterm()
     with run_directory(runs) as directory:
-        launch = prepare(config_dir, overrides, directory, any_ports=any_ports, foxglove=foxglove)
+        launch = prepare(
+            config_dir,
+            overrides,
+            directory,
+            any_ports=any_ports,
+            foxglove=foxglove,
+            controller=choice.controller,
+        )
         note_settings(directory, launch.settings)
         with bars() as shown, started(launch, shown) as supervisor:
             show_console(launch)
@@ -189,7 +199,8 @@ def run_lockstep(
     settings = load_settings(config_dir, overrides)
     log = RunLog()
     log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
-    rig = LockstepRig(settings, choice.seed, log)
+    parts = own_parts if choice.controller is ControllerKind.PYTHON else text_parts
+    rig = LockstepRig(settings, choice.seed, log, parts=parts)
     recordings = None
     if record is not None:
         recordings = rig.record_in(record, f"lockstep {choice.scenario} seed {choice.seed}")
