@@ -1,27 +1,11 @@
 """Where the parts of a type lie, against ctypes; what Python reads and writes of them."""
 
-import ctypes
-from typing import Any
-
 import pytest
 
 from structured_text.program import Program
-from structured_text.types import Array, Structure, Type, base_of, is_scalar
+from tests.structured_text.c_layout import as_ctypes, check_offsets
 from tools.protocol_files import FOLDER
 
-CODES = {
-    "b": ctypes.c_int8,
-    "h": ctypes.c_int16,
-    "i": ctypes.c_int32,
-    "q": ctypes.c_int64,
-    "?": ctypes.c_bool,
-    "B": ctypes.c_uint8,
-    "H": ctypes.c_uint16,
-    "I": ctypes.c_uint32,
-    "Q": ctypes.c_uint64,
-    "f": ctypes.c_float,
-    "d": ctypes.c_double,
-}
 MIXED = """
 TYPE
     ST_Inner : STRUCT a : BYTE; b : LREAL; c : INT; END_STRUCT
@@ -60,30 +44,6 @@ fb(x := TRUE, other := odd);
 grid[1, 2] := 42;
 END_PROGRAM
 """
-
-
-def as_ctypes(of: Type) -> Any:
-    """The same type as C's compiler lays it out."""
-    if is_scalar(of):
-        return CODES[base_of(of).code]
-    if isinstance(of, Array):
-        return as_ctypes(of.of) * of.length
-    assert isinstance(of, Structure)
-    fields = [(part.name, as_ctypes(part.type)) for part in of.fields.values()]
-    return type(of.name, (ctypes.Structure,), {"_fields_": fields})
-
-
-def check_offsets(of: Type) -> int:
-    """How many parts lie where ctypes has them; all of them do."""
-    made = as_ctypes(of)
-    assert ctypes.sizeof(made) == of.size
-    if isinstance(of, Array):
-        return check_offsets(of.of)
-    if not isinstance(of, Structure):
-        return 1
-    for part in of.fields.values():
-        assert getattr(made, part.name).offset == part.offset, f"{of.name}.{part.name}"
-    return sum(check_offsets(part.type) for part in of.fields.values())
 
 
 def test_every_declared_type_lies_as_ctypes_lays_it_out() -> None:
