@@ -36,6 +36,7 @@ COPY structured_text structured_text
 COPY controller controller
 COPY controller_st controller_st
 COPY plc plc
+COPY docs/protocol docs/protocol
 COPY plant_emulator plant_emulator
 COPY vision_pc vision_pc
 COPY conformance conformance
