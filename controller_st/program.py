@@ -11,7 +11,7 @@ from controller.core.plant_watch import PlantRefusal
 from controller_st.constants import constants_text
 from nominal_arm.description import NominalArm
 from structured_text.errors import ProgramFaulted, RuntimeFault
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 
 _PROGRAM, _MOST = "PRG_LR_Controller", 64
 _SHIPPED = Path(__file__).parent / "plc"
@@ -41,7 +41,7 @@ class TextController:
         self, arm: NominalArm, config: ControllerConfig, boot_id: int, draw: Callable[[], int]
     ) -> None:
         """Raises ConfigurationError, and StructuredTextError for a text that is not of the language."""
-        self._program = Program(texts(arm, config))
+        self._program = CompiledProgram(texts(arm, config))
         self._draw = draw
         self.memory = self._program.memory
         self._in = self.memory.PRG_LR_Controller

@@ -53,7 +53,7 @@ class Declarations:
         self._check = check
         self._types: dict[str, tree.TypeDeclaration] = {}
         self._resolved: dict[str, Type | None] = dict(ELEMENTARY)
-        self._waiting: dict[str, tuple[str, tree.Declared]] = {}
+        self._waiting: dict[str, tuple[str, tree.VariableDeclaration]] = {}
         self.units: dict[str, tree.Unit] = {}
         self.globals: dict[str, tree.Variable] = {}
         self.memory = Structure("memory")
@@ -214,7 +214,7 @@ class Declarations:
         self.globals[word] = made
         return made
 
-    def variable(self, declared: tree.Declared, kind: Type, file: str) -> tree.Variable:
+    def variable(self, declared: tree.VariableDeclaration, kind: Type, file: str) -> tree.Variable:
         """A declared variable with its initial value."""
         place = Place(file, declared.line)
         initial = self.initial(declared.initial, kind, file)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from structured_text.types import BOOL_KIND, Array, Elementary, Structure, Type, base_of, is_scalar, packed
 
 
-class View:
+class MemoryView:
     """A structure, an instance or an array in memory; names ignore case, indices are those of the language.
 
     Scalars are read and written as numbers, an array of scalars as ``numbers``. It keeps its memory alive.
@@ -104,27 +104,27 @@ class View:
         return int(self._address + place * of.of.size)
 
 
-def new(of: Type) -> View:
+def new(of: Type) -> MemoryView:
     """A view of memory of its own, with initial values."""
     owner = ctypes.create_string_buffer(of.size + 16)
     address = -(-ctypes.addressof(owner) // 16) * 16
-    made = View(of, address, owner)
+    made = MemoryView(of, address, owner)
     made.clear()
     return made
 
 
 def _plain(value: Any) -> Any:
-    return value.as_dict() if isinstance(value, View) else value
+    return value.as_dict() if isinstance(value, MemoryView) else value
 
 
 def _read(of: Type, address: int, owner: object) -> Any:
     if not is_scalar(of):
-        return View(of, address, owner)
+        return MemoryView(of, address, owner)
     return _CTYPES[base_of(of).code].from_address(address).value
 
 
 def _write(of: Type, address: int, value: Any) -> None:
-    if isinstance(value, View):
+    if isinstance(value, MemoryView):
         value = bytes(value.data)
     elif isinstance(of, Array) and is_scalar(of.of) and not isinstance(value, bytes | bytearray | memoryview):
         value = np.asarray(value, np.dtype("<" + base_of(of.of).code)).tobytes()

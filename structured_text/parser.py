@@ -116,14 +116,14 @@ class Parser:
         self._expect("OF")
         return tree.TypeText(line, "ARRAY", bounds, self._type_text())
 
-    def _section(self) -> list[tree.Declared]:
+    def _section(self) -> list[tree.VariableDeclaration]:
         section, constant = self._next().word, self._accept("CONSTANT") is not None
-        declared: list[tree.Declared] = []
+        declared: list[tree.VariableDeclaration] = []
         while not self._accept("END_VAR"):
             declared += self._declared(section, constant)
         return declared
 
-    def _declared(self, section: str, constant: bool) -> list[tree.Declared]:
+    def _declared(self, section: str, constant: bool) -> list[tree.VariableDeclaration]:
         names = [self._new_name()]
         while self._accept(","):
             names.append(self._new_name())
@@ -131,7 +131,7 @@ class Parser:
         of = self._type_text()
         initial = self._initializer() if self._accept(":=") else None
         self._expect(";")
-        return [tree.Declared(n.line, n.text, section, of, initial, constant) for n in names]
+        return [tree.VariableDeclaration(n.line, n.text, section, of, initial, constant) for n in names]
 
     def _initializer(self) -> tree.Initializer:
         line = self._peek.line
@@ -161,7 +161,7 @@ class Parser:
         if kind.word == "FUNCTION":
             self._expect(":")
             result = self._type_text()
-        declared: list[tree.Declared] = []
+        declared: list[tree.VariableDeclaration] = []
         while self._peek.word in _SECTIONS:
             declared += self._section()
         body = self._body(f"END_{kind.word}")

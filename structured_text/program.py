@@ -20,7 +20,7 @@ from structured_text.backend import MEMORY, Backend
 from structured_text.checker import check
 from structured_text.declarations import BUDGET, FAULT, Declarations
 from structured_text.errors import Place, ProgramFaulted, RuntimeFault
-from structured_text.memory import View, ctype_of, new
+from structured_text.memory import MemoryView, ctype_of, new
 from structured_text.parser import Parser
 from structured_text.types import Structure, Type, is_scalar
 from structured_text.values import REASONS
@@ -39,7 +39,7 @@ class Called(NamedTuple):
     outputs: dict[str, Any]
 
 
-class Program:
+class CompiledProgram:
     """Texts as one program.
 
     ``memory`` has a part for every PROGRAM and global variable. Calls are not to be made from two threads.
@@ -54,16 +54,16 @@ class Program:
         self._files = sorted({unit.file for unit in self._names.units.values()})
         self._engine = _engine(self._names, texts, finite)
         address = self._engine.get_global_value_address(MEMORY)
-        self.memory = View(self._names.memory, address, self._engine)
+        self.memory = MemoryView(self._names.memory, address, self._engine)
         self.memory.clear()
         self._entries: dict[str, Any] = {}
 
     @classmethod
-    def of_files(cls, paths: Iterable[Path]) -> "Program":
+    def of_files(cls, paths: Iterable[Path]) -> "CompiledProgram":
         """The program of these files. Raises StructuredTextError, and OSError for what cannot be read."""
         return cls({path.name: path.read_text(encoding="utf-8") for path in paths})
 
-    def new(self, name: str) -> View:
+    def new(self, name: str) -> MemoryView:
         """Memory for a value of the type ``name``, with initial values. Raises StructuredTextError."""
         return new(self.type(name))
 
@@ -91,7 +91,7 @@ class Program:
         entry(place)
         self._end()
 
-    def call(self, name: str, instance: View | None = None, **given: Any) -> Called:
+    def call(self, name: str, instance: MemoryView | None = None, **given: Any) -> Called:
         """Call a FUNCTION, or a FUNCTION_BLOCK on its ``instance``, with parameters by name.
 
         Whole variables are handed over as views. Raises ProgramFaulted when a run-time check ends the call.
@@ -99,8 +99,8 @@ class Program:
         unit = self._names.units[name.upper()]
         passed: list[Any] = [] if instance is None else [instance.address]
         kinds: list[Any] = [] if instance is None else [ctypes.c_void_p]
-        outputs: dict[str, View] = {}
-        held: list[View] = []  # lest their memory goes before the call
+        outputs: dict[str, MemoryView] = {}
+        held: list[MemoryView] = []  # lest their memory goes before the call
         for parameter in unit.parameters():
             if parameter.section == "VAR_INPUT" and is_scalar(parameter.type):
                 kinds.append(ctype_of(parameter.type))
@@ -141,7 +141,7 @@ class Program:
             raise ProgramFaulted(RuntimeFault(place, REASONS[fault >> 48]))
 
 
-def _content(view: View) -> Any:
+def _content(view: MemoryView) -> Any:
     return view.content
 
 

@@ -193,7 +193,7 @@ class Initializer:
 
 
 @dataclass
-class Declared:
+class VariableDeclaration:
     """Variables of one type in a declaration."""
 
     line: int
@@ -212,7 +212,7 @@ class TypeDeclaration:
     line: int
     name: str
     alias: TypeText | None = None
-    members: list[Declared] | None = None
+    members: list[VariableDeclaration] | None = None
     values: list[tuple[str, Expression | None, int]] | None = None
     base: str = "INT"
 
@@ -226,7 +226,7 @@ class Unit:
     kind: str
     name: str
     result_text: TypeText | None
-    declared: list[Declared]
+    declared: list[VariableDeclaration]
     body: Body
     result: Type | None = field(default=None, init=False)
     variables: dict[str, Variable] = field(default_factory=dict, init=False)
@@ -244,4 +244,4 @@ class Globals:
     """A VAR_GLOBAL block."""
 
     file: str
-    declared: list[Declared]
+    declared: list[VariableDeclaration]

@@ -96,7 +96,7 @@ class Array:
 
 
 @dataclass(frozen=True)
-class Field:
+class StructurePart:
     """A part of a structure. ``section``: VAR, VAR_INPUT … of an instance's; ``initial``: None for zeros."""
 
     name: str
@@ -111,7 +111,7 @@ class Structure:
     """A STRUCT, or the memory of a function block or program; ``fields`` by name in capitals."""
 
     name: str
-    fields: dict[str, Field] = field(default_factory=dict)
+    fields: dict[str, StructurePart] = field(default_factory=dict)
     end: int = 0
     align: int = 1
     is_block: bool = False
@@ -121,10 +121,10 @@ class Structure:
         """In bytes, a whole number of its alignment, at least 1."""
         return max(_aligned(self.end, self.align), 1)
 
-    def add(self, name: str, of: "Type", initial: Any = None, section: str = "VAR") -> Field:
+    def add(self, name: str, of: "Type", initial: Any = None, section: str = "VAR") -> StructurePart:
         """Lay out another part behind the last one."""
         offset = _aligned(self.end, of.align)
-        made = self.fields[name.upper()] = Field(name, of, offset, initial, section)
+        made = self.fields[name.upper()] = StructurePart(name, of, offset, initial, section)
         self.end, self.align = offset + of.size, max(self.align, of.align)
         return made
 

@@ -44,6 +44,7 @@ from testbed.reporting.run_record import note_settings
 from testbed.scenarios.scenario import Overrides, load_settings
 
 _HEALTHY_S = 60.0
+_PARTS = {ControllerKind.PYTHON: own_parts, ControllerKind.STRUCTURED_TEXT: text_parts}
 
 
 class Driven(NamedTuple):
@@ -199,8 +200,7 @@ def run_lockstep(
     settings = load_settings(config_dir, overrides)
     log = RunLog()
     log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
-    parts = own_parts if choice.controller is ControllerKind.PYTHON else text_parts
-    rig = LockstepRig(settings, choice.seed, log, parts=parts)
+    rig = LockstepRig(settings, choice.seed, log, parts=_PARTS[choice.controller])
     recordings = None
     if record is not None:
         recordings = rig.record_in(record, f"lockstep {choice.scenario} seed {choice.seed}")

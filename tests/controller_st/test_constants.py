@@ -8,7 +8,7 @@ from controller_st.program import texts
 from foundation.configuration import load, parse_overrides
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 from tests.structured_text.c_layout import check_offsets
 from tests.support.paths import CONFIGS
 from tools.plc_constants import FILE, text
@@ -27,7 +27,9 @@ def test_the_committed_constants_are_those_of_the_shipped_configuration() -> Non
 
 
 def test_a_changed_gain_and_limit_reach_the_program() -> None:
-    changed = Program(texts(*configured("controller.supervision.overspeed_m_s=0.5", "controller.cycle_ms=2")))
+    changed = CompiledProgram(
+        texts(*configured("controller.supervision.overspeed_m_s=0.5", "controller.cycle_ms=2"))
+    )
     assert (changed.constant("LR_WATCH_OVERSPEED"), changed.constant("LR_CYCLE_NS")) == (0.5, 2_000_000)
 
 
@@ -48,5 +50,5 @@ def test_what_the_program_has_no_part_for_is_refused_by_its_key(override: str) -
 
 
 def test_every_type_of_the_program_lies_as_ctypes_lays_it_out() -> None:
-    program = Program(texts(*configured()))
+    program = CompiledProgram(texts(*configured()))
     assert sum(check_offsets(of) for of in program.types.values()) > 500

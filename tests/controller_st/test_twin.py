@@ -23,8 +23,8 @@ from protocol.faults import CommandCode
 from protocol.pose import Pose
 from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import Command, ReferencePose, Request
-from structured_text.memory import View
-from structured_text.program import Program
+from structured_text.memory import MemoryView
+from structured_text.program import CompiledProgram
 from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
@@ -41,9 +41,9 @@ class Recorded(NamedTuple):
 
 
 @cache
-def program() -> Program:
+def program() -> CompiledProgram:
     arm, config = load(NominalArm, CONFIGS / "arm.yaml"), load(ControllerConfig, CONFIGS / "controller.yaml")
-    return Program(texts(arm, config))
+    return CompiledProgram(texts(arm, config))
 
 
 @cache
@@ -92,12 +92,12 @@ def recorded() -> list[Recorded]:
     return found
 
 
-def put(view: View, **values: Any) -> None:
+def put(view: MemoryView, **values: Any) -> None:
     for name, value in values.items():
         setattr(view, name, value)
 
 
-def spools(one: Recorded, kept: dict[str, View]) -> np.ndarray:
+def spools(one: Recorded, kept: dict[str, MemoryView]) -> np.ndarray:
     """What the text's joint law makes of the scan's tool, motion and filters."""
     before, after = one.before, one.after
     servo, tool, desired, watch = kept["servo"], kept["tool"], kept["desired"], kept["watch"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 
 TYPES = """
 TYPE
@@ -205,17 +205,17 @@ CASES = [
 
 
 @pytest.fixture(scope="module")
-def compiled() -> Program:
+def compiled() -> CompiledProgram:
     """All cases in one program, each a program of its own: compiled once."""
     bodies = [
         f"PROGRAM PRG_{k} VAR {VARIABLES} END_VAR\n{body}\nEND_PROGRAM\n"
         for k, (body, _, _) in enumerate(CASES)
     ]
-    return Program({"cases.st": TYPES + "".join(bodies)})
+    return CompiledProgram({"cases.st": TYPES + "".join(bodies)})
 
 
 @pytest.mark.parametrize("number", range(len(CASES)), ids=[body for body, _, _ in CASES])
-def test_the_construct_does_what_the_standard_says(compiled: Program, number: int) -> None:
+def test_the_construct_does_what_the_standard_says(compiled: CompiledProgram, number: int) -> None:
     _, name, expected = CASES[number]
     compiled.run(f"PRG_{number}")
     found = getattr(getattr(compiled.memory, f"PRG_{number}"), name)
@@ -241,7 +241,7 @@ n_own := n_own + 1;
 n_function := F_Counted();
 END_PROGRAM
 """
-    compiled = Program({"kept.st": text})
+    compiled = CompiledProgram({"kept.st": text})
     for _ in range(3):
         compiled.run("PRG_Kept")
     assert compiled.memory.PRG_Kept.as_dict() == {"n_own": 3, "n_function": 7}

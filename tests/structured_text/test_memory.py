@@ -2,7 +2,7 @@
 
 import pytest
 
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 from tests.structured_text.c_layout import as_ctypes, check_offsets
 from tools.protocol_files import FOLDER
 
@@ -47,12 +47,12 @@ END_PROGRAM
 
 
 def test_every_declared_type_lies_as_ctypes_lays_it_out() -> None:
-    program = Program.of_files([FOLDER / "types_twincat_codesys.st"])
+    program = CompiledProgram.of_files([FOLDER / "types_twincat_codesys.st"])
     assert sum(check_offsets(of) for of in program.types.values()) > 100
 
 
 def test_mixed_types_and_instances_lie_as_ctypes_lays_them_out() -> None:
-    program = Program({"mixed.st": MIXED})
+    program = CompiledProgram({"mixed.st": MIXED})
     assert sum(check_offsets(of) for of in program.types.values()) > 20
     program.run("PRG")
     found = program.memory.PRG
@@ -65,7 +65,7 @@ def test_mixed_types_and_instances_lie_as_ctypes_lays_them_out() -> None:
 
 
 def test_python_writes_what_the_program_reads_and_is_refused_what_does_not_fit() -> None:
-    program = Program({"mixed.st": MIXED})
+    program = CompiledProgram({"mixed.st": MIXED})
     found = program.memory.prg
     found.odd.b[1].b = 2.5
     found.grid.numbers[...] = 7

@@ -3,7 +3,7 @@
 import pytest
 
 from structured_text.errors import StructuredTextError
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 
 HEAD = """TYPE
 E_Mode : (Idle, Busy);
@@ -106,7 +106,7 @@ STATEMENTS = [
 
 def refusal(text: str) -> StructuredTextError:
     with pytest.raises(StructuredTextError) as caught:
-        Program({"wrong.st": text})
+        CompiledProgram({"wrong.st": text})
     return caught.value
 
 
@@ -189,4 +189,6 @@ def test_a_wrong_unit_is_refused_in_its_line(text: str, why: str) -> None:
 
 def test_the_file_is_the_one_that_is_wrong() -> None:
     with pytest.raises(StructuredTextError, match=r"^second\.st:2: n is not declared$"):
-        Program({"first.st": "TYPE A : INT; END_TYPE", "second.st": "PROGRAM PRG\nn := 1; END_PROGRAM"})
+        CompiledProgram(
+            {"first.st": "TYPE A : INT; END_TYPE", "second.st": "PROGRAM PRG\nn := 1; END_PROGRAM"}
+        )

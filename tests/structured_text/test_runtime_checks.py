@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from structured_text.errors import ProgramFaulted
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 
 HEAD = """FUNCTION F_Deep : DINT
 VAR_INPUT
@@ -51,7 +51,7 @@ FAULTS = [
 
 @pytest.mark.parametrize(("body", "why"), FAULTS, ids=[body for body, _ in FAULTS])
 def test_a_fault_names_its_line_and_ends_the_call(body: str, why: str) -> None:
-    program = Program({"faulty.st": f"{HEAD}m := 1;\n{body}\nm := 2;\nEND_PROGRAM"})
+    program = CompiledProgram({"faulty.st": f"{HEAD}m := 1;\n{body}\nm := 2;\nEND_PROGRAM"})
     with pytest.raises(ProgramFaulted) as caught:
         program.run("PRG")
     assert str(caught.value) == f"faulty.st:{LINE}: {why}"
@@ -61,7 +61,7 @@ def test_a_fault_names_its_line_and_ends_the_call(body: str, why: str) -> None:
 
 
 def test_a_fault_in_a_function_ends_its_callers_too() -> None:
-    program = Program({"faulty.st": f"{HEAD}n := F_Deep(3) + F_Deep(4);\nm := 2;\nEND_PROGRAM"})
+    program = CompiledProgram({"faulty.st": f"{HEAD}n := F_Deep(3) + F_Deep(4);\nm := 2;\nEND_PROGRAM"})
     with pytest.raises(ProgramFaulted, match=r"^faulty\.st:8: an index is outside of its array$"):
         program.run("PRG")
     assert program.memory.PRG.m == 0
@@ -70,7 +70,7 @@ def test_a_fault_in_a_function_ends_its_callers_too() -> None:
 def test_a_number_that_is_not_finite_is_found_where_that_is_asked_for() -> None:
     text = {"nan.st": "PROGRAM PRG VAR f, g : LREAL; END_VAR\ng := 1.0;\nf := f * 2.0 - f;\nEND_PROGRAM"}
     for finite in (False, True):
-        program = Program(text, finite=finite)
+        program = CompiledProgram(text, finite=finite)
         program.memory.PRG.f = math.inf
         if finite:
             with pytest.raises(ProgramFaulted, match=r"^nan\.st:3: a number is not finite$"):
@@ -86,13 +86,13 @@ def test_machine_code_is_kept_by_text_and_made_anew_where_it_is_spoilt(
     monkeypatch.setattr("structured_text.program.cache_root", lambda: tmp_path)
     text = "PROGRAM PRG VAR n : DINT; END_VAR n := {}; END_PROGRAM"
     for value in (1, 2, 1):
-        program = Program({"kept.st": text.format(value)})
+        program = CompiledProgram({"kept.st": text.format(value)})
         program.run("PRG")
         assert program.memory.PRG.n == value
     kept = sorted(tmp_path.rglob("*.o"))
     assert len(kept) == 2
     for each in kept:
         each.write_bytes(b"spoilt")
-    program = Program({"kept.st": text.format(1)})
+    program = CompiledProgram({"kept.st": text.format(1)})
     program.run("PRG")
     assert program.memory.PRG.n == 1

@@ -2,7 +2,7 @@
 
 import pytest
 
-from structured_text.program import Program
+from structured_text.program import CompiledProgram
 
 PID = """
 FUNCTION_BLOCK FB_Pid (* after the textbook: positional form, clamped, with anti-windup *)
@@ -86,11 +86,11 @@ END_FUNCTION_BLOCK
 
 
 @pytest.fixture(scope="module")
-def book() -> Program:
-    return Program({"book.st": PID})
+def book() -> CompiledProgram:
+    return CompiledProgram({"book.st": PID})
 
 
-def test_the_pid_controller_gives_the_books_steps_and_does_not_wind_up(book: Program) -> None:
+def test_the_pid_controller_gives_the_books_steps_and_does_not_wind_up(book: CompiledProgram) -> None:
     pid = book.new("FB_Pid")
     for name, value in (
         ("set", 1.0),
@@ -117,7 +117,7 @@ def test_the_pid_controller_gives_the_books_steps_and_does_not_wind_up(book: Pro
     assert (pid.f_out, pid.as_dict()["f_integral"]) == (1.0, before)
 
 
-def test_the_ramp_arrives_exactly_and_stays(book: Program) -> None:
+def test_the_ramp_arrives_exactly_and_stays(book: CompiledProgram) -> None:
     ramp = book.new("FB_Ramp")
     ramp.f_target, ramp.f_rate, ramp.f_cycle = -1.0, 3.0, 0.1
     found = []
@@ -133,7 +133,7 @@ def test_the_ramp_arrives_exactly_and_stays(book: Program) -> None:
     ]
 
 
-def test_the_valve_opens_on_an_edge_and_fails_when_it_does_not_arrive(book: Program) -> None:
+def test_the_valve_opens_on_an_edge_and_fails_when_it_does_not_arrive(book: CompiledProgram) -> None:
     valve = book.new("FB_Valve")
     steps = [
         (0, 0, 0),

@@ -24,8 +24,8 @@ from protocol.process_image import (
     encode_sensors,
     encode_valves,
 )
-from structured_text.memory import View
-from structured_text.program import Program
+from structured_text.memory import MemoryView
+from structured_text.program import CompiledProgram
 from tools.plc import camel, member_name
 from tools.protocol_files import FILES, FOLDER
 from tools.protocol_page import signed_golden
@@ -49,9 +49,9 @@ def test_no_file_lies_there_that_is_neither_made_nor_written_by_hand() -> None:
 
 
 @cache
-def program() -> Program:
+def program() -> CompiledProgram:
     """All three texts."""
-    return Program(
+    return CompiledProgram(
         {
             "types_twincat_codesys.st": FILES["types_twincat_codesys.st"](),
             "helpers.st": HELPERS,
@@ -60,7 +60,7 @@ def program() -> Program:
     )
 
 
-def datagram(data: bytes, rest: int = 0) -> View:
+def datagram(data: bytes, rest: int = 0) -> MemoryView:
     """``data`` in an array of the PLC's, which goes on with ``rest``."""
     made = program().new("T_LR_Datagram")
     made.data[:] = data + bytes([rest]) * (MAX_DATAGRAM_BYTES - len(data))
