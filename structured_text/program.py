@@ -56,6 +56,9 @@ class CompiledProgram:
         address = self._engine.get_global_value_address(MEMORY)
         self.memory = MemoryView(self._names.memory, address, self._engine)
         self.memory.clear()
+        parts = self._names.memory.fields
+        self._fault = ctypes.c_uint64.from_address(address + parts[FAULT.upper()].offset)
+        self._budget = ctypes.c_int64.from_address(address + parts[BUDGET.upper()].offset)
         self._entries: dict[str, Any] = {}
 
     @classmethod
@@ -131,11 +134,10 @@ class CompiledProgram:
         return int(self._engine.get_function_address(f"st_{name.upper()}"))
 
     def _begin(self) -> None:
-        setattr(self.memory, FAULT, 0)
-        setattr(self.memory, BUDGET, LOOPS)
+        self._fault.value, self._budget.value = 0, LOOPS
 
     def _end(self) -> None:
-        fault = getattr(self.memory, FAULT)
+        fault = self._fault.value
         if fault:
             place = Place(self._files[fault >> 32 & 0xFFFF], fault & 0xFFFFFFFF)
             raise ProgramFaulted(RuntimeFault(place, REASONS[fault >> 48]))
