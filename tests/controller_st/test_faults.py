@@ -21,7 +21,7 @@ from tests.support.paths import CONFIGS, ROOT
 # The first statement of F_LR_Drive, which is reached in every scan.
 BEFORE = "F_LR_Drive := FALSE;\n"
 WRONG = {
-    "an index is outside of its array": "stArm.stServo.aValves[ULINT_TO_DINT(stArm.nCycle / 250 * 6)] := 0.0;",
+    "an index is outside of its array": "stArm.stServo.aValves[ULINT_TO_DINT(stArm.nCycle / 42)] := 0.0;",
     "division by zero": "fPace := 1.0 / ULINT_TO_LREAL(stArm.nCycle MOD 250);",
     "a loop does not end": "WHILE stArm.nCycle > 250 DO fPace := 1.0; END_WHILE",
 }
