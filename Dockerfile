@@ -32,7 +32,11 @@ COPY pyproject.toml README.md LICENSE ./
 COPY foundation foundation
 COPY protocol protocol
 COPY nominal_arm nominal_arm
+COPY structured_text structured_text
 COPY controller controller
+COPY controller_st controller_st
+COPY plc plc
+COPY docs/protocol docs/protocol
 COPY plant_emulator plant_emulator
 COPY vision_pc vision_pc
 COPY conformance conformance

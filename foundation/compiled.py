@@ -35,6 +35,8 @@ from numba.extending import overload as compiled_as
 OUR_PACKAGES = frozenset(
     {
         "foundation",
+        "structured_text",
+        "controller_st",
         "protocol",
         "nominal_arm",
         "controller",

@@ -1,13 +1,18 @@
 """The controller's program: the scan as ever or, chosen at start, the scan that tries out valves."""
 
+from collections.abc import Callable
+
 from controller.config import ControllerConfig
 from controller.core.excitation.plan import excitation_plan
 from controller.core.excitation.program import ExcitationProgram, ExcitationSample, excitation_scan
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, ScanState, initial_state
 from controller.core.settings import settings_from
+from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
+from protocol.authentication import LinkKey
 from protocol.reference_messages import CAPABILITY_PATHS, CAPABILITY_STREAMING, CAPABILITY_VALVE_TRIALS
+from protocol.server_session import ReferenceServer
 
 
 class ScanProgram:
@@ -45,3 +50,23 @@ class ScanProgram:
         if sample is not None:
             self.samples.append(sample)
         return output
+
+
+Parts = Callable[[NominalArm, ControllerConfig, int, LinkKey | None], tuple[ScanProgram, ReferenceServer]]
+"""Makes scan and sessions of an arm's configuration, the number of the start and the link's key."""
+
+
+def own_parts(
+    arm: NominalArm, config: ControllerConfig, boot_id: int, key: LinkKey | None
+) -> tuple[ScanProgram, ReferenceServer]:
+    """The scan and the sessions of this package. Raises ConfigurationError as ``settings_from`` does."""
+    program = ScanProgram(arm, config)
+    server = ReferenceServer(
+        boot_id=boot_id,
+        arm_hash=configuration_hash(arm),
+        cycle_ns=round(1e6 * config.cycle_ms),
+        link_timeout_ms=config.reference_link.link_timeout_ms,
+        capabilities=program.capabilities,
+        key=key,
+    )
+    return program, server

@@ -15,7 +15,7 @@ from controller.config import ControllerConfig
 from controller.core.flight_recorder import FlightRecorder, Scan, plain
 from controller.core.plant_watch import PlantRefusal
 from controller.core.requests import is_live
-from controller.core.scan_program import ScanProgram
+from controller.core.scan_program import Parts, own_parts
 from controller.core.scan_types import (
     RuntimeStatistics,
     ScanInput,
@@ -28,7 +28,6 @@ from controller.shell.cyclic_task import CyclicTask, warm_up
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
 from controller.shell.scan_recorder import ScanRecorder, TrialRecords
-from foundation.configuration import configuration_hash
 from foundation.event_log import EventLog, Level
 from foundation.incidents import note_scheduling
 from foundation.live.feed import LiveShow, open_show
@@ -43,7 +42,6 @@ from protocol.errors import ConfigurationError, ImageRefused
 from protocol.faults import CommandCode, FaultCode
 from protocol.process_image import SensorImage, ValveImage, decode_sensors, encode_valves
 from protocol.reference_messages import Command, Request
-from protocol.server_session import ReferenceServer
 
 
 async def dump(directory: Path, fault: str, number: int, scans: Sequence[Scan], log: EventLog) -> None:
@@ -78,22 +76,23 @@ class ControllerService:
     """One running controller."""
 
     def __init__(
-        self, arm: NominalArm, config: ControllerConfig, options: ServiceOptions, log: EventLog
+        self,
+        arm: NominalArm,
+        config: ControllerConfig,
+        options: ServiceOptions,
+        log: EventLog,
+        parts: Parts = own_parts,
     ) -> None:
-        """Bind the reference port, then try the directories. Raises ConfigurationError."""
+        """Bind the reference port, then try the directories; ``parts`` make scan and sessions.
+
+        Raises ConfigurationError.
+        """
         self._config = config
         self._log = log
-        self._program = ScanProgram(arm, config)
         self._boot_id = secrets.randbits(64) or 1
         cycle_ns = round(config.cycle_ms * _NS_PER_MS)
-        server = ReferenceServer(
-            boot_id=self._boot_id | secrets.randbits(128) << 64,
-            arm_hash=configuration_hash(arm),
-            cycle_ns=cycle_ns,
-            link_timeout_ms=config.reference_link.link_timeout_ms,
-            capabilities=self._program.capabilities,
-            key=read_key(config.reference_link.link_key),
-        )
+        drawn, key = self._boot_id | secrets.randbits(128) << 64, read_key(config.reference_link.link_key)
+        self._program, server = parts(arm, config, drawn, key)
         self._reference = ReferencePort(server, config.reference_link, log)
         try:
             self._record_dir = recording_directory(options.record_dir)

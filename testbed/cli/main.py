@@ -99,7 +99,7 @@ def up(
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     world = with_face(overrides, start.allow_faults, start.show_truth)
-    run_up(config_dir, world, start.free_ports, start.runs, start.foxglove)
+    run_up(config_dir, world, start.free_ports, start.runs, start.foxglove, start.controller)
 
 
 @app.command(epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap --set vision.look.frames=5")
@@ -201,7 +201,8 @@ def demo(
     world = chosen_overrides(config_dir, scenario, seed, settings or [])
     overrides = with_face(world, breaks, start.show_truth)
     looks = HOLES if holes else 1 if programs else chosen.looks
-    choice = Choice(scenario, seed, looks, holes, programs, faults, chosen.method)
+    asked = scenario, seed, looks, holes, programs, faults
+    choice = Choice(*asked, chosen.method, start.controller)
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:

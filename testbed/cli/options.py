@@ -7,6 +7,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from foundation.command_options import usual_configs
+from testbed.controllers import ControllerKind
 from testbed.hand_eye.pose_forms import PoseForm
 from testbed.reporting.console import writable
 from vision_pc.config.choices import PositioningMethod, Setup
@@ -91,6 +92,9 @@ class StartOptions(NamedTuple):
         bool, typer.Option("--show-truth", help="Let the console draw where the emulator's arm really is.")
     ] = False
     runs: RunsDir = Path("runs")
+    controller: Annotated[
+        ControllerKind, typer.Option(help="In Python, or in structured text, compiled: plc/*.st.")
+    ] = ControllerKind.PYTHON
     foxglove: Annotated[
         int | None,
         typer.Option(

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import httpx
 
+from controller.core.scan_program import own_parts
+from controller_st.parts import text_parts
 from foundation.secret_source import read_secret
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.wall.bores import hole_places
@@ -15,6 +17,7 @@ from plant_emulator.core.fault_execution import obey
 from plant_emulator.core.faults.schedule import FaultOrder
 from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
+from testbed.controllers import ControllerKind
 from testbed.demonstration.sequence import (
     JSON,
     Recorder,
@@ -41,6 +44,7 @@ from testbed.reporting.run_record import note_settings
 from testbed.scenarios.scenario import Overrides, load_settings
 
 _HEALTHY_S = 60.0
+_PARTS = {ControllerKind.PYTHON: own_parts, ControllerKind.STRUCTURED_TEXT: text_parts}
 
 
 class Driven(NamedTuple):
@@ -74,7 +78,14 @@ def run_demo(
     began = time.monotonic()
     end_on_sigterm()
     with run_directory(runs) as directory:
-        launch = prepare(config_dir, overrides, directory, any_ports=any_ports, foxglove=foxglove)
+        launch = prepare(
+            config_dir,
+            overrides,
+            directory,
+            any_ports=any_ports,
+            foxglove=foxglove,
+            controller=choice.controller,
+        )
         note_settings(directory, launch.settings)
         with bars() as shown, started(launch, shown) as supervisor:
             show_console(launch)
@@ -189,7 +200,7 @@ def run_lockstep(
     settings = load_settings(config_dir, overrides)
     log = RunLog()
     log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
-    rig = LockstepRig(settings, choice.seed, log)
+    rig = LockstepRig(settings, choice.seed, log, parts=_PARTS[choice.controller])
     recordings = None
     if record is not None:
         recordings = rig.record_in(record, f"lockstep {choice.scenario} seed {choice.seed}")

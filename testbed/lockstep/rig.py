@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeVar
 
 from pydantic import ValidationError
 
+from controller.core.scan_program import Parts, own_parts
 from controller.shell.scan_recorder import ScanRecorder
 from foundation.event_log import Level
 from foundation.recording.decoding import SESSION_VARIABLE, session_entries
@@ -138,7 +139,7 @@ class LockstepRig:
 
     Link, arm, eyes and programs are the service's own classes. ``sight``: what the eyes measure with in place
     of rendered pictures, such as ``simulated_sight`` with its model and seed bound.
-    ``programs``: None for ours and those of installed packages.
+    ``programs``: None for ours and those of installed packages. ``parts``: as the World's.
     """
 
     def __init__(
@@ -148,8 +149,9 @@ class LockstepRig:
         log: RunLog,
         sight: SightMaker | None = None,
         programs: Sequence[Program[Any, Any]] | None = None,
+        parts: Parts = own_parts,
     ) -> None:
-        self.world = World(settings, seed, log)
+        self.world = World(settings, seed, log, parts)
         self.link = self.world.link
         vision = settings.vision
         self.camera = camera_eyes(self.world)

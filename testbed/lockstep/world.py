@@ -12,10 +12,9 @@ from pathlib import Path
 from controller.core.excitation.plan import ExcitationPlan
 from controller.core.excitation.program import ExcitationProgram, ExcitationSample
 from controller.core.inbox import Inbox
-from controller.core.scan_program import ScanProgram
+from controller.core.scan_program import Parts, own_parts
 from controller.core.scan_types import RuntimeStatistics, ScanInput, ScanOutput, to_state
 from controller.shell.scan_recorder import ScanRecorder
-from foundation.configuration import configuration_hash
 from foundation.secret_source import read_key
 from nominal_arm.dimensions import joint_ranges
 from plant_emulator.core.camera.scene import Scene
@@ -26,7 +25,6 @@ from protocol.client_session import ReferenceClient
 from protocol.faults import FaultCode, GroupState
 from protocol.process_image import ValveImage, decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import State
-from protocol.server_session import ReferenceServer
 from protocol.session_events import (
     AcknowledgementReceived,
     ClientEvent,
@@ -102,19 +100,12 @@ class ControllerSide:
     and ``samples`` all that it recorded.
     """
 
-    def __init__(self, settings: Settings, seed: int) -> None:
+    def __init__(self, settings: Settings, seed: int, parts: Parts = own_parts) -> None:
         config = settings.controller
         self.cycle_ns = round(1e6 * config.cycle_ms)
-        self._program = ScanProgram(settings.arm, config)
         self._inbox = Inbox()
-        self._server = ReferenceServer(
-            boot_id=seed + 1,
-            arm_hash=configuration_hash(settings.arm),
-            cycle_ns=self.cycle_ns,
-            link_timeout_ms=config.reference_link.link_timeout_ms,
-            capabilities=self._program.capabilities,
-            key=read_key(config.reference_link.link_key),
-        )
+        key = read_key(config.reference_link.link_key)
+        self._program, self._server = parts(settings.arm, config, seed + 1, key)
         self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
         self.recorder: ScanRecorder | None = None
 
@@ -187,10 +178,10 @@ class World:
     the reference link, ``link`` the shipped client, ``states`` all that it received. ``camera`` exposes at
     its own rate. ``to_controller`` and ``to_vision`` turn the datagrams sent in a cycle into those that
     arrive in it: a wire that loses, repeats or reorders. They are sent and arrive ``lead_ns``, less than a
-    cycle, before its scan.
+    cycle, before its scan. ``parts`` make the controller's scan and sessions.
     """
 
-    def __init__(self, settings: Settings, seed: int, log: RunLog) -> None:
+    def __init__(self, settings: Settings, seed: int, log: RunLog, parts: Parts = own_parts) -> None:
         self.log = log
         self.settings = settings
         self.plant = Plant(settings.plant, seed, Scene(settings.scene).mounts)
@@ -201,7 +192,7 @@ class World:
         self.to_controller: Wire = list
         self.to_vision: Wire = list
         self._fault_changes_told = 0
-        self.controller = ControllerSide(settings, seed)
+        self.controller = ControllerSide(settings, seed, parts)
         self._time_ns = 0
         self.clock = LockstepClock(self)
         self.open_link(nonce=seed + 1)

@@ -12,6 +12,7 @@ import psutil
 from foundation.configuration import merged
 from foundation.secret_source import read_secret
 from protocol.errors import ConfigurationError
+from testbed.controllers import ControllerKind
 from testbed.realtime.child import Service
 from testbed.scenarios.scenario import Overrides, Settings, flattened, load_settings
 
@@ -152,6 +153,7 @@ def prepare(
     *,
     any_ports: bool,
     foxglove: int | None = None,
+    controller: ControllerKind = ControllerKind.PYTHON,
 ) -> Launch:
     """The launch of all three services with ``overrides``, checked before anything is started.
 
@@ -178,7 +180,8 @@ def prepare(
     def service(name: str) -> Service:
         records = ["--record-dir", str(launch.records(name))]
         options = (*common, *records, "--statistics", str(launch.statistics(name)))
-        return Service(name, name, options, session, feeds)
+        module = controller.module if name == CONTROLLER else name
+        return Service(name, module, options, session, feeds)
 
     services = tuple(map(service, (PLANT, CONTROLLER, VISION)))
     if foxglove is not None:

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from types import FrameType
 
+from testbed.controllers import ControllerKind
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import Bars, out, table
@@ -16,7 +17,12 @@ from testbed.scenarios.scenario import Overrides
 
 
 def run_up(
-    config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path, foxglove: int | None = None
+    config_dir: Path,
+    overrides: Overrides,
+    any_ports: bool,
+    runs: Path,
+    foxglove: int | None = None,
+    controller: ControllerKind = ControllerKind.PYTHON,
 ) -> None:
     """Run the services until Ctrl-C or SIGTERM ends them.
 
@@ -24,7 +30,9 @@ def run_up(
     """
     end_on_sigterm()
     with run_directory(runs) as directory:
-        launch = prepare(config_dir, overrides, directory, any_ports=any_ports, foxglove=foxglove)
+        launch = prepare(
+            config_dir, overrides, directory, any_ports=any_ports, foxglove=foxglove, controller=controller
+        )
         note_settings(directory, launch.settings)
         try:
             with supervised(launch.services, launch.directory) as supervisor:

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError, LongreachError
+from testbed.controllers import ControllerKind
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import run_record as record
 from testbed.reporting.console import kept_on_ctrl_c, out, write_json
@@ -30,7 +31,7 @@ class Choice(NamedTuple):
     """What a demonstration is asked for; ``holes``: to drive to three drill holes, not to the object.
 
     ``programs``: to run after the orientation adjustment, in place of calibration and looks. ``faults``: what
-    breaks, counted from the start.
+    breaks, counted from the start. ``controller``: which one drives the arm.
     """
 
     scenario: str
@@ -40,6 +41,7 @@ class Choice(NamedTuple):
     programs: tuple[NamedRequest, ...] = ()
     faults: tuple[FaultOrder, ...] = ()
     method: PositioningMethod = PositioningMethod.CORRECTED
+    controller: ControllerKind = ControllerKind.PYTHON
 
 
 def outcome_table(outcome: Outcome) -> Table:

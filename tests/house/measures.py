@@ -189,8 +189,8 @@ PARTS = {
     "conformance": ("conformance",),
     "laboratory": ("laboratory",),
     "product": (
-        "controller", "dissector", "examples", "foundation", "longreach", "nominal_arm", "plant_emulator",
-        "protocol", "testbed", "tools", "vision_pc",
+        "controller", "controller_st", "dissector", "examples", "foundation", "longreach", "nominal_arm",
+        "plant_emulator", "protocol", "structured_text", "testbed", "tools", "vision_pc",
     ),
 }  # fmt: skip
 """Part of the house → its packages: the suites and the laboratory are distributions of their own."""

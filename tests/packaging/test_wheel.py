@@ -105,3 +105,19 @@ def test_init_copies_what_is_shipped_once(tmp_path: Path) -> None:
     names = [sorted(p.relative_to(d) for p in d.rglob("*")) for d in (shipped_configs(), tmp_path / "mine")]
     assert names[0] == names[1]
     assert copied() == 2
+
+
+def test_the_controller_in_structured_text_runs_from_it(installed: Path) -> None:
+    program = """
+from foundation.command_options import shipped_configs
+from foundation.configuration import load
+from controller.config import ControllerConfig
+from controller_st.program import TextController
+from nominal_arm.description import NominalArm
+
+files = shipped_configs()
+arm, config = load(NominalArm, files / "arm.yaml"), load(ControllerConfig, files / "controller.yaml")
+text = TextController(arm, config, 1, lambda: 2)
+print(text.step(1, 1, 0.005, None), text.valve_words[0], text.__module__)
+"""
+    assert run(installed, "-c", program).split() == ["None", "1", "controller_st.program"]

@@ -7,7 +7,6 @@ import re
 import struct
 import zlib
 from functools import cache
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,8 +24,8 @@ from protocol.process_image import (
     encode_sensors,
     encode_valves,
 )
-from tests.support.structured_text import Programs, output
-from tests.support.structured_text_values import StructuredTextError
+from structured_text.memory import MemoryView
+from structured_text.program import CompiledProgram
 from tools.plc import camel, member_name
 from tools.protocol_files import FILES, FOLDER
 from tools.protocol_page import signed_golden
@@ -46,24 +45,32 @@ def test_no_file_lies_there_that_is_neither_made_nor_written_by_hand() -> None:
     assert {path.name for path in FOLDER.iterdir()} == {*FILES, "helpers.st", "sample.pcap"}
 
 
-# Structured text, as a strict compiler would run it.
+# Structured text, compiled and run.
 
 
 @cache
-def programs() -> Programs:
+def program() -> CompiledProgram:
     """All three texts."""
-    return Programs(FILES["types_twincat_codesys.st"](), HELPERS, FILES["fields.st"]())
+    return CompiledProgram(
+        {
+            "types_twincat_codesys.st": FILES["types_twincat_codesys.st"](),
+            "helpers.st": HELPERS,
+            "fields.st": FILES["fields.st"](),
+        }
+    )
 
 
-def datagram(data: bytes) -> list[int]:
-    """``data`` in an array of the PLC's."""
-    return [*data, *bytes(MAX_DATAGRAM_BYTES - len(data))]
+def datagram(data: bytes, rest: int = 0) -> MemoryView:
+    """``data`` in an array of the PLC's, which goes on with ``rest``."""
+    made = program().new("T_LR_Datagram")
+    made.data[:] = data + bytes([rest]) * (MAX_DATAGRAM_BYTES - len(data))
+    return made
 
 
 def flat(value: Any) -> list[Any]:
-    """All numbers of a structure or array, in order."""
-    if isinstance(value, SimpleNamespace):
-        return [number for part in vars(value).values() for number in flat(part)]
+    """All numbers of plain data, in order."""
+    if isinstance(value, dict):
+        return [number for part in value.values() for number in flat(part)]
     return [number for part in value for number in flat(part)] if isinstance(value, list) else [value]
 
 
@@ -90,45 +97,45 @@ def flat_message(value: Any) -> list[Any]:
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 def test_structured_text_reads_and_writes_every_datagram_as_the_codec_does(message: Any) -> None:
     data = encode(message, HEADER)
-    kind = Kind(data[6])
-    st_data = programs().default(f"ST_LR_{camel(kind)}")
-    read = getattr(programs(), f"F_LR_Read{camel(kind)}")
-    write = getattr(programs(), f"F_LR_Write{camel(kind)}")
-    assert read(aData=datagram(data), stData=st_data) is True
-    header = vars(st_data).pop("header")
-    assert flat(st_data) == numbers(message)
-    assert (header.session, header.sequence, header.sent_ns) == (
+    kind = camel(Kind(data[6]))
+    st_data = program().new(f"ST_LR_{kind}")
+    assert program().call(f"F_LR_Read{kind}", aData=datagram(data), stData=st_data).result is True
+    plain = st_data.as_dict()
+    header = plain.pop("header")
+    assert flat(plain) == numbers(message)
+    assert (header["session"], header["sequence"], header["sent_ns"]) == (
         HEADER.session,
         HEADER.sequence,
         HEADER.sent_ns,
     )
-    st_data.header = SimpleNamespace(
-        **{**vars(header), "crc32": 0, "kind": 0, "payload_bytes": 0, "magic": []}
-    )
-    written = [0xEE] * MAX_DATAGRAM_BYTES
-    assert write(aData=written, stData=st_data) == len(data)
-    assert bytes(written[: len(data)]) == data
-    assert written[len(data) :] == [0xEE] * (MAX_DATAGRAM_BYTES - len(data))
-    assert decode(bytes(written[: len(data)])) == decode(data)
+    for name in ("crc32", "kind", "payload_bytes"):
+        setattr(st_data.header, name, 0)
+    st_data.header.magic = bytes(4)
+    written = datagram(b"", 0xEE)
+    assert program().call(f"F_LR_Write{kind}", aData=written, stData=st_data).result == len(data)
+    assert bytes(written.data) == data + b"\xee" * (MAX_DATAGRAM_BYTES - len(data))
+    assert decode(bytes(written.data[: len(data)])) == decode(data)
 
 
 def test_structured_text_reads_the_trailer_and_makes_the_crc_of_a_signed_datagram() -> None:
     for data in signed_golden().values():
-        trailer = programs().default("ST_LR_Trailer")
+        trailer = program().new("ST_LR_Trailer")
         at = HEADER_BYTES + struct.unpack_from("<H", data, 10)[0]
-        assert programs().F_LR_ReadTrailer(aData=datagram(data), stData=trailer, nAt=at) is True
-        assert bytes(trailer.tag) == data[-16:]
+        assert program().call("F_LR_ReadTrailer", aData=datagram(data), stData=trailer, nAt=at).result is True
+        assert bytes(trailer.tag.data) == data[-16:]
         assert trailer.sequence_high == 7
-        assert len(vars(trailer)) == len(TRAILER)
-        crc = programs().F_LR_DatagramCrc(aData=datagram(data), nBytes=len(data))
+        assert len(trailer.as_dict()) == len(TRAILER)
+        crc = program().call("F_LR_DatagramCrc", aData=datagram(data), nBytes=len(data)).result
         assert crc == struct.unpack_from("<I", data, 12)[0]
         bare = datagram(data[:at])
-        assert programs().F_LR_WriteTrailer(aData=bare, stData=trailer, nAt=at) is True
-        assert bytes(bare[: len(data)]) == data
+        assert program().call("F_LR_WriteTrailer", aData=bare, stData=trailer, nAt=at).result is True
+        assert bytes(bare.data[: len(data)]) == data
 
 
 def test_structured_text_has_the_crc_of_the_page() -> None:
-    crc = programs().F_LR_Crc(aData=datagram(b"123456789"), nFirst=0, nCount=9, nSeed=0xFFFFFFFF)
+    crc = (
+        program().call("F_LR_Crc", aData=datagram(b"123456789"), nFirst=0, nCount=9, nSeed=0xFFFFFFFF).result
+    )
     assert crc ^ 0xFFFFFFFF == zlib.crc32(b"123456789") == 0xCBF43926
 
 
@@ -145,18 +152,17 @@ SPECIAL += [
 
 
 def put_and_got(value: float) -> None:
-    """Both directions of an LREAL, bit by bit; what 3.7 refuses is told, not taken for a number."""
+    """Both directions of an LREAL, bit by bit; what 3.7 refuses is said, not taken for a number."""
     data = struct.pack("<d", value)
     normal = math.isfinite(value) and (value == 0.0 or abs(value) >= 2.0**-1022)
-    places, references = output({"xFinite": True})
-    got = programs().F_LR_GetLreal(aData=datagram(b"\xee" * 8 + data), nAt=8, **references)
-    assert places.xFinite is normal
-    assert got == (value if normal else 0.0)
-    written = [0xEE] * 24
-    done = programs().F_LR_PutLreal(aData=written, nAt=8, fValue=value)
+    got = program().call("F_LR_GetLreal", aData=datagram(b"\xee" * 8 + data), nAt=8, xFinite=True)
+    assert got.outputs["xFinite"] is normal
+    assert got.result == (value if normal else 0.0)
+    written = datagram(b"", 0xEE)
+    done = program().call("F_LR_PutLreal", aData=written, nAt=8, fValue=value).result
     assert done is math.isfinite(value)
     put = data if normal and value != 0.0 else bytes(8)
-    assert bytes(written) == b"\xee" * 8 + (put if done else b"\xee" * 8) + b"\xee" * 8
+    assert bytes(written.data[:24]) == b"\xee" * 8 + (put if done else b"\xee" * 8) + b"\xee" * 8
 
 
 @pytest.mark.parametrize("value", SPECIAL)
@@ -174,11 +180,11 @@ def test_a_reference_with_a_nan_reads_as_not_finite_and_is_not_written() -> None
     message = next(m for m in MESSAGES if type(m).__name__ == "ReferencePose")
     data = bytearray(encode(message, HEADER))
     data[48:56] = struct.pack("<d", math.nan)
-    pose = programs().default("ST_LR_ReferencePose")
-    assert programs().F_LR_ReadReferencePose(aData=datagram(bytes(data)), stData=pose) is False
-    assert programs().F_LR_WriteReferencePose(aData=datagram(b""), stData=pose) == 112
+    pose, there = program().new("ST_LR_ReferencePose"), datagram(b"")
+    assert program().call("F_LR_ReadReferencePose", aData=datagram(bytes(data)), stData=pose).result is False
+    assert program().call("F_LR_WriteReferencePose", aData=there, stData=pose).result == 112
     pose.duration_s = math.inf
-    assert programs().F_LR_WriteReferencePose(aData=datagram(b""), stData=pose) == 0
+    assert program().call("F_LR_WriteReferencePose", aData=there, stData=pose).result == 0
 
 
 @pytest.mark.parametrize(
@@ -192,43 +198,29 @@ def test_a_reference_with_a_nan_reads_as_not_finite_and_is_not_written() -> None
 def test_structured_text_orders_numbers_as_the_channel_does(
     sequence: int, newest: int, newer: bool, skipped: int
 ) -> None:
-    places, references = output({"nSkipped": 0})
-    assert programs().F_LR_IsNewer(nSequence=sequence, nNewest=newest, **references) is newer
-    assert places.nSkipped == skipped
+    found = program().call("F_LR_IsNewer", nSequence=sequence, nNewest=newest)
+    assert (found.result, found.outputs["nSkipped"]) == (newer, skipped)
 
 
 def test_structured_text_reads_the_inputs_and_writes_the_outputs() -> None:
     counts = (1, -1, 2**31 - 1, -(2**31), 65536, -65537)
-    words = encode_sensors(SensorImage(7, 9, 5, counts, ((1.0, 2.0),) * 6, 190.0, 10.0, -4.25))
-    inputs = programs().default("ST_LR_Inputs")
-    assert programs().F_LR_ReadInputs(aWords=words, stData=inputs) is True
-    assert inputs.encoder_counts == list(counts)
+    words = program().new("T_LR_InputWords")
+    words.numbers[:] = encode_sensors(SensorImage(7, 9, 5, counts, ((1.0, 2.0),) * 6, 190.0, 10.0, -4.25))
+    inputs = program().new("ST_LR_Inputs")
+    assert program().call("F_LR_ReadInputs", aWords=words, stData=inputs).result is True
+    assert list(inputs.encoder_counts) == list(counts)
     assert (inputs.plant_cycle, inputs.echo_cycle, inputs.status) == (7, 9, 5)
-    assert (inputs.pressures_bar[:2], inputs.oil_temperature_degc) == ([100, 200], -425)
-    words[-1] += 1
-    assert programs().F_LR_ReadInputs(aWords=words, stData=inputs) is False
-    outputs = programs().default("ST_LR_Outputs")
+    assert (list(inputs.pressures_bar)[:2], inputs.oil_temperature_degc) == ([100, 200], -425)
+    words[39] += 1
+    assert program().call("F_LR_ReadInputs", aWords=words, stData=inputs).result is False
+    outputs = program().new("ST_LR_Outputs")
     outputs.controller_cycle, outputs.control = 17, 1
     outputs.valves = [16384, -8192, 32767, -32767, 0, 4096]
-    written = [0xEEEE] * 12
-    assert programs().F_LR_WriteOutputs(aWords=written, stData=outputs) is True
+    written = program().new("T_LR_OutputWords")
+    written.numbers[:] = 0xEEEE
+    assert program().call("F_LR_WriteOutputs", aWords=written, stData=outputs).result is True
     valves = tuple(value / 32767 for value in outputs.valves)
-    assert written == encode_valves(ValveImage(17, 1, valves))
-
-
-@pytest.mark.parametrize(
-    ("statement", "why"),
-    [
-        ("n := w;", "wanted UINT"), ("n := 65536;", "does not fit"), ("n := w AND 1;", "wanted"),
-        ("f := 1;", "wanted LREAL"), ("n := m;", "wanted UINT"), ("w := w + w;", "of WORD"),
-        ("n := a[4];", "index"), ("n := a[0 - 1];", "index"), ("n := DINT_TO_UINT(m - 1);", "does not fit"),
-    ],
-)  # fmt: skip
-def test_what_runs_the_text_is_as_strict_as_it_says(statement: str, why: str) -> None:
-    variables = "n : UINT; m : DINT; w : WORD; f : LREAL; a : ARRAY[0..3] OF UINT;"
-    text = f"FUNCTION F : BOOL VAR {variables} END_VAR {statement} F := TRUE; END_FUNCTION"
-    with pytest.raises((StructuredTextError, IndexError), match=why):
-        Programs(text).F()
+    assert list(written) == encode_valves(ValveImage(17, 1, valves))
 
 
 @pytest.mark.parametrize("name", ["types_twincat_codesys.st", "helpers.st", "fields.st"])
