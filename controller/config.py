@@ -221,6 +221,17 @@ class ReferenceLinkConfig(StrictModel):
     link_key: SecretSource = SecretSource()
 
 
+class AdsConfig(StrictModel):
+    """Where the controller in structured text shows its variables over ADS; ``port`` 0: nowhere.
+
+    ``writable``: whoever connects may also change numbers. ADS has no authentication.
+    """
+
+    host: str = Field(default="127.0.0.1", min_length=1)
+    port: int = Field(default=0, ge=0, le=65535)
+    writable: bool = False
+
+
 class ControllerConfig(StrictModel):
     """controller.yaml as a whole.
 
@@ -243,6 +254,7 @@ class ControllerConfig(StrictModel):
     excitation: ExcitationConfig
     plant_link: PlantLinkConfig
     reference_link: ReferenceLinkConfig
+    ads: AdsConfig = AdsConfig()
     flight_recorder_scans: int = Field(ge=1, le=100_000)
     recording_hz: float = Field(default=0.0, ge=0.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)

@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from ipaddress import IPv4Address
 
 from controller.config import ControllerConfig
@@ -25,6 +25,7 @@ from protocol.reference_messages import Acknowledgement, Command, State, StreamR
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent, SessionClosed, SessionOpened
 from protocol.session_factory import Source
+from structured_text.memory import MemoryView
 
 _STATE = struct.Struct(
     "<QQHHHHQII18d14dd8I"
@@ -34,12 +35,21 @@ _OTHER = 1  # the number of a peer that is no address
 
 
 class TextProgram(ScanProgram):
-    """The scan of ``text``; the sessions of the same program are a TextServer's."""
+    """The scan of ``text``; the sessions of the same program are a TextServer's.
+
+    ``after_scan`` is called with the scan's time when the program's memory is at rest.
+    """
 
     def __init__(self, arm: NominalArm, config: ControllerConfig, text: TextController) -> None:
         super().__init__(arm, config)
         self._text = text
+        self.after_scan: Callable[[int], None] = lambda now_ns: None
         self._mode, self._fault = Mode.DISABLED, FaultCode.NONE
+
+    @property
+    def memory(self) -> MemoryView:
+        """All variables of the program."""
+        return self._text.memory
 
     @property
     def state(self) -> ScanState:
@@ -64,6 +74,7 @@ class TextProgram(ScanProgram):
         if mode is not self._mode:
             events.append(ScanEvent("mode", f"{self._mode.name} -> {mode.name}", 0.0, 0.0))
         self._mode, self._fault = mode, view.fault
+        self.after_scan(inputs.now_ns)
         cycle, control, *spools = self._text.valve_words[:8]
         a, b, c, d, e, f = ((word - 0x10000 if word > 0x7FFF else word) / 0x7FFF for word in spools)
         return ScanOutput(ValveImage(cycle, control, (a, b, c, d, e, f)), (), None, view, tuple(events))
@@ -167,7 +178,7 @@ class TextServer(ReferenceServer):
 
 def text_parts(
     arm: NominalArm, config: ControllerConfig, boot_id: int, key: LinkKey | None
-) -> tuple[ScanProgram, ReferenceServer]:
+) -> tuple[TextProgram, ReferenceServer]:
     """Scan and sessions of one program, in the place of ``own_parts``.
 
     Session numbers are drawn from what ``boot_id`` holds above the 64 bits that WELCOME tells, so that a
