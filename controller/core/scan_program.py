@@ -11,6 +11,7 @@ from controller.core.settings import settings_from
 from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
+from protocol.errors import ConfigurationError
 from protocol.reference_messages import CAPABILITY_PATHS, CAPABILITY_STREAMING, CAPABILITY_VALVE_TRIALS
 from protocol.server_session import ReferenceServer
 
@@ -59,7 +60,13 @@ Parts = Callable[[NominalArm, ControllerConfig, int, LinkKey | None], tuple[Scan
 def own_parts(
     arm: NominalArm, config: ControllerConfig, boot_id: int, key: LinkKey | None
 ) -> tuple[ScanProgram, ReferenceServer]:
-    """The scan and the sessions of this package. Raises ConfigurationError as ``settings_from`` does."""
+    """The scan and the sessions of this package.
+
+    Raises ConfigurationError as ``settings_from`` does, and for ADS, which it does not speak.
+    """
+    if config.ads.port:
+        why = f"controller.ads.port = {config.ads.port}: the controller in structured text alone shows variables"
+        raise ConfigurationError("configuration.no_ads", f"{why}: python -m controller_st, up --controller st")
     program = ScanProgram(arm, config)
     server = ReferenceServer(
         boot_id=boot_id,

@@ -12,14 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from controller.config import ControllerConfig
+from controller.core.scan_program import own_parts
 from controller_st.ads_device import AdsDevice
 from controller_st.ads_frames import AmsAddress, AmsFrame
 from controller_st.ads_port import CLIENTS, AdsPort
+from foundation.configuration import load
 from foundation.event_log import EventLog
+from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
 from tests.controller_st.test_ads_device import COUNTER
+from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.realtime
 CAUSES: list[str] = []
@@ -174,3 +179,10 @@ def test_who_leaves_its_notifications_unread_is_ended(log: EventLog) -> None:
 def test_a_port_that_is_taken_is_refused_by_name(log: EventLog) -> None:
     with running("127.0.0.47", log), pytest.raises(ConfigurationError, match=r"127\.0\.0\.47:48898"):
         AdsPort(AdsDevice(CompiledProgram({"counter.st": COUNTER}).memory), "127.0.0.47", ADS_PORT, log)
+
+
+def test_the_controller_in_python_shows_no_variables() -> None:
+    arm = load(NominalArm, CONFIGS / "arm.yaml")
+    config = load(ControllerConfig, CONFIGS / "controller.yaml", {"ads": {"port": ADS_PORT}})
+    with pytest.raises(ConfigurationError, match="--controller st"):
+        own_parts(arm, config, 1, None)
