@@ -31,6 +31,7 @@ LABORATORY := $(addprefix tests/, \
 	bad_input browser packaging tools \
 	$(addprefix conformance/test_, c_controller.py mutants.py own_plant.py reference_suite.py runner.py first_hour.py) \
 	$(addprefix controller/test_, after_stop.py load_holding.py) \
+	$(addprefix controller_st/test_, suite.py mutants.py twin.py) \
 	dissector/test_tshark.py \
 	faults/test_vision.py \
 	foundation/test_compiled.py \

@@ -22,15 +22,15 @@ def _mutants(file: str, *rows: tuple[str, str, tuple[int, ...] | None]) -> list[
 MUTANTS = [
     *_mutants(
         "session.st",
-        ("stPacket.nBytes > LR_LARGEST", "FALSE", (102, 103, 104)),
-        ("stHeader.major <> 1", "stHeader.major > 1", (105, 106, 107, 108, 109)),
+        ("stHeader.payload_bytes <> LR_PAYLOAD_BYTES[LIMIT(1, stHeader.kind, 12)]", "FALSE", (104,)),
+        ("stHeader.major <> 1", "FALSE", (112,)),
         ("stHeader.crc32 <> F_LR_DatagramCrc", "stHeader.crc32 = 0 * F_LR_DatagramCrc", (109, 110, 111)),
         ("(wFlags AND WORD#16#FF00) <> WORD#0", "FALSE", (116, 117, 118)),
         ("stLink.nNow_ns - stLink.nRationed_ns < LR_RATION_NS", "FALSE", (112, 216, 223, 244, 245)),
         ("stLink.aNonces[i] = stHello.client_nonce", "FALSE", (208, 210, 255)),
         ("stHello.arm_hash <> LR_ARM_HASH", "FALSE", (206, 207, 230, 242)),
         ("(stLink.stOpen.nNumber <> 0) AND NOT xConnected", "FALSE", (211, 212, 213, 214, 215)),
-        ("stHello.header.sent_ns < stLink.stOpen.nHelloSent_ns", "FALSE", (232, 233, 234, 238)),
+        ("stHello.header.sent_ns < stLink.stOpen.nHelloSent_ns", "FALSE", (215,)),
         ("stSession.nSequence := stSession.nSequence + 1;", "", (133, 134, 307, 309)),
         ("stLink.nLost := stLink.nLost + nSkipped;", "", (302, 303, 304, 591)),
         ("stLink.nLost := stLink.nLost - 1;", "", (303, 304, 321, 323, 591)),
@@ -45,7 +45,7 @@ MUTANTS = [
         "requests.st",
         ("stLink.stOpen.aAnswers[i].dwContent <> dwContent", "FALSE", (404, 419, 433)),
         ("nId < stLink.stOpen.nNewestId", "FALSE", (405,)),
-        ("xStops AND (i < nLastStop) AND NOT xStop", "FALSE", (415, 416, 418, 533)),
+        ("ELSIF stLink.stOpen.aAnswers[i].xDecided THEN", "ELSIF FALSE THEN", (402,)),
         ("stLink.aQueue[i].nId < nNewest", "FALSE", (420, 531)),
         ("stLink.stRead.nCode > 8", "FALSE", (431, 432, 444)),
         ("stLink.stRead.nCount > 24", "stLink.stRead.nCount > 25", (124, 125, 431, 432, 444)),
@@ -59,7 +59,7 @@ MUTANTS = [
     ),
     *_mutants(
         "group.st",
-        ("E_LR_Fault.REFERENCE_LINK_LOST:", "E_LR_Fault.WORKSPACE_LIMIT:", (519, 529, 534, 535)),
+        ("eSeverity := E_LR_Severity.STOP;", "", (534,)),
         ("fAge > LR_STREAM_MAX_AGE_S", "FALSE", (549, 584)),
         ("nAhead >= UDINT#16#80000000", "FALSE", (548, 585)),
         ("F_LR_Norm(x := aWay) > LR_STREAM_DISTANCE_M", "FALSE", (546, 547, 580, 581)),
@@ -70,14 +70,14 @@ MUTANTS = [
     *_mutants(
         "survey.st",
         ("F_LR_Norm(x := aWay) > LR_MOTION_FIRST_POINT_DISTANCE", "FALSE", (525, 526, 560, 564)),
-        ("aq[i] > stSurvey.stSpace.aRange[1, i]", "FALSE", (525, 526, 560, 565, 566)),
+        ("aq[i] < stSurvey.stSpace.aRange[0, i]", "FALSE", (566,)),
         ("fLeast < LR_SINGULAR_VALUE_MIN", "FALSE", (567,)),
         ("fMost <= LR_TIME_TOLERANCE;", "TRUE;", (563, 565, 568, 525, 526)),
     ),
     *_mutants(
         "motion.st",
         ("stMotion.fTime >= stArm.stPath.fDuration", "stMotion.fTime >= 0.0", (516, 517, 524, 527, 558)),
-        ("stArm.stMotion.xDone := TRUE;", "", (516, 517)),
+        ("stArm.stMotion.xDone := TRUE;", "", (555,)),
     ),
     *_mutants(
         "kinematics.st",

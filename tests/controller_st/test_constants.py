@@ -26,6 +26,7 @@ def test_the_committed_constants_are_those_of_the_shipped_configuration() -> Non
     assert FILE.read_text(encoding="utf-8") == text(), "run: python -m tools.plc_constants"
 
 
+@pytest.mark.slow("a program is compiled")
 def test_a_changed_gain_and_limit_reach_the_program() -> None:
     changed = CompiledProgram(
         texts(*configured("controller.supervision.overspeed_m_s=0.5", "controller.cycle_ms=2"))
@@ -49,6 +50,7 @@ def test_what_the_program_has_no_part_for_is_refused_by_its_key(override: str) -
     assert caught.value.cause == "controller_st.left_out"
 
 
+@pytest.mark.slow("a program is compiled")
 def test_every_type_of_the_program_lies_as_ctypes_lays_it_out() -> None:
     program = CompiledProgram(texts(*configured()))
     assert sum(check_offsets(of) for of in program.types.values()) > 500

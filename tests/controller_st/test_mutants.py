@@ -61,6 +61,7 @@ def test_the_twin_catches_the_wrong_text(twin: Twin, mutant: TextMutant) -> None
     assert worst_of(compiled, twin) > SPOOL
 
 
+@pytest.mark.slow("the program is compiled")
 def test_the_sound_text_passes_both(twin: Twin) -> None:
     shipped = settings()
     assert worst_of(CompiledProgram(program.texts(shipped.arm, shipped.controller)), twin) < SPOOL
