@@ -1,8 +1,10 @@
 """Text files that other programs wrote: their byte order marks, and what a spreadsheet makes of columns."""
 
 import codecs
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _DECIMAL_COMMA = re.compile(r"(?<![\d,])-?\d+,\d+(?![\d,])")
@@ -18,6 +20,14 @@ def decoded(data: bytes) -> str:
 def read_text(path: Path) -> str:
     """What is in the file, as ``decoded`` has it. Raises OSError, UnicodeDecodeError."""
     return decoded(path.read_bytes())
+
+
+def parse_json(text: str) -> Any:
+    """What JSON ``text`` holds. Raises ValueError, also where it is nested too deeply for the parser."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 def other_separators(head: str, row: str) -> str | None:

@@ -9,14 +9,14 @@ import csv
 import hashlib
 import io
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import Field
 
-from foundation.configuration import StrictModel, validated
+from foundation.configuration import StrictModel, parse_mapping, validated
 from foundation.foreign_text import decoded, other_separators
 from plant_emulator.config.actuators import BAR
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
@@ -153,10 +153,11 @@ def _without_empty_cells(line: str) -> str:
 
 def _about(text: str, path: Path) -> About:
     try:
-        data: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError("recording.not_one", f"{path}: {' '.join(str(error).split())}") from error
-    return validated(About, data if isinstance(data, dict) else {}, str(path))
+        return validated(About, parse_mapping(text, str(path)), str(path))
+    except ConfigurationError as error:
+        if error.cause not in ("configuration.not_yaml", "configuration.not_a_mapping"):
+            raise
+        raise ConfigurationError("recording.not_one", str(error)) from error
 
 
 def _order(line: str, path: Path) -> tuple[list[str], list[int]]:
