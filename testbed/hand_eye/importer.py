@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.configuration import parse_yaml
-from foundation.foreign_text import other_separators, parse_json
+from foundation.foreign_text import comma_separated, parse_json
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.hand_eye.pose_text import (
     UNITS,
@@ -244,8 +244,10 @@ def _pairs(
 
 def _from_csv(text: str, options: ImportOptions) -> PosePairs:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if (why := other_separators(*[*lines, "", ""][:2])) is not None:
-        raise RequestRefused("refused.hand_eye.format", why)
+    try:
+        lines = comma_separated(lines)
+    except ValueError as error:
+        raise RequestRefused("refused.hand_eye.format", str(error)) from error
     while lines and all(line.rstrip().endswith(",") for line in lines):  # empty columns of a spreadsheet
         lines = [line.rstrip()[:-1] for line in lines]
     reader = csv.DictReader(lines, skipinitialspace=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from foundation.configuration import StrictModel, parse_mapping, validated
-from foundation.foreign_text import decoded, other_separators
+from foundation.foreign_text import comma_separated, decoded
 from plant_emulator.config.actuators import BAR
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from protocol.errors import ConfigurationError
@@ -127,8 +127,11 @@ def read_recording(path: Path) -> MotionRecording:
         raise ConfigurationError("recording.not_one", f"{path}: the first line is not '# {FIRST_LINE}'")
     about = _about("\n".join(header[1:]), path)
     body = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
-    if (why := other_separators(*(line for _, line in [*body, (0, ""), (0, "")][:2]))) is not None:
-        raise ConfigurationError("recording.separators", f"{path}: {why}")
+    try:
+        rows = comma_separated([line for _, line in body])
+    except ValueError as error:
+        raise ConfigurationError("recording.separators", f"{path}: {error}") from error
+    body = [(number, line) for (number, _), line in zip(body, rows, strict=True)]
     names, order = _order(body[0][1] if body else "", path)
     table = np.array([_numbers(line, number, names, path) for number, line in body[1:]])
     table = table.reshape(len(table), len(names))[:, order]

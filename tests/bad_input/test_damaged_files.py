@@ -31,6 +31,7 @@ from tests.support.paths import CONFIGS, DOCS, ROOT
 pytestmark = pytest.mark.slow("hundreds of damaged files")
 WITHIN_S = 10.0
 SIDE = 160
+AXES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 def recording() -> bytes:
@@ -85,6 +86,17 @@ def tum(side: str) -> bytes:
 def poses() -> bytes:
     """The hand's side without times."""
     return b"\n".join(line.partition(b" ")[2] for line in tum("hand").splitlines()[:1])
+
+
+def spreadsheet() -> bytes:
+    """The samples as a German spreadsheet saves them."""
+    rows = ["name;" + ";".join(f"{side}_{a}" for side in ("hand", "camera") for a in AXES)]
+    for sample in samples():
+        numbers = []
+        for pose in (np.array(sample["hand"]), np.array(sample["camera"])):
+            numbers += [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]
+        rows.append(";".join([str(sample["name"]), *(f"{number:.9f}" for number in numbers)]))
+    return "\n".join(rows).replace(".", ",").encode()
 
 
 def motion() -> bytes:
@@ -165,6 +177,7 @@ COMMANDS = (
     Reading("hand-eye intrinsics a.png", {"a.png": picture}, good=2),
     Reading("hand-eye solve a.json", {"a.json": SAMPLES}),
     Reading("hand-eye solve a.yaml", {"a.yaml": SAMPLES}),
+    Reading("hand-eye solve a.csv", {"a.csv": spreadsheet}),
     Reading("hand-eye solve hand.tum camera.tum", SIDES),
     Reading("hand-eye compare a.json", {"a.json": SAMPLES}),
     Reading(SAMPLED, PICTURED, "s.json", good=2),
