@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -27,6 +27,7 @@ _CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
 
 BASE_FILE = "base.yaml"
 _MOST_LAYERS = 8
+_MOST_LEVELS = 64  # of YAML
 
 
 class StrictModel(BaseModel):
@@ -43,13 +44,17 @@ class _UniqueKeyLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
     """Safe YAML, but a key that is written twice is an error instead of a silent override."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
+        seen: set[Any] = set()
+        for written, _ in node.value:
+            key = self.construct_object(written, deep=True)
+            if not isinstance(key, Hashable):
+                break  # the parser refuses it
+            if key in seen:
                 where = f"line {node.start_mark.line + 1}"
                 raise ConfigurationError(
                     "configuration.duplicate_key", f"{where}: key '{key}' is written twice"
                 )
+            seen.add(key)
         return super().construct_mapping(node, deep)
 
 
@@ -75,7 +80,7 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
     """The mapping that YAML ``text`` is; ``where`` names its origin. Raises ConfigurationError as
     ``read_yaml``.
     """
-    data = _parse_yaml(text, where)
+    data = parse_yaml(text, where)
     if not isinstance(data, dict):
         raise ConfigurationError(
             "configuration.not_a_mapping", f"{where}: a mapping is wanted, got {type(data).__name__}"
@@ -83,10 +88,18 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
     return data
 
 
-def _parse_yaml(text: str, where: str) -> Any:
+def parse_yaml(text: str, where: str, loader: type = _UniqueKeyLoader) -> Any:
+    """What YAML ``text`` holds; ``where`` names its origin. Raises ConfigurationError, also for a value that
+    no type of Python takes (a 13th month), and for more than 64 levels, which would break the parser itself.
+    """
     try:
-        return yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
+        depth = 0
+        for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > _MOST_LEVELS:
+                raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels: {event.start_mark}")
+        return yaml.load(text, Loader=loader)
+    except (yaml.YAMLError, ValueError) as error:
         raise ConfigurationError(
             "configuration.not_yaml", f"{where}: {' '.join(str(error).split())}"
         ) from error
@@ -221,7 +234,7 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
         path = [part.strip() for part in dotted.split(".")]
         if not equals or len(path) < 2 or not all(path):
             raise ConfigurationError("configuration.bad_override", f"'{assignment}': wanted FILE.KEY…=VALUE")
-        value = _parse_yaml(text, f"'{assignment}'")
+        value = parse_yaml(text, f"'{assignment}'")
         below: dict[str, Any] = overrides
         for part in path[:-1]:
             below = below.setdefault(part, {})

@@ -1,11 +1,18 @@
 """Text files that other programs wrote: their byte order marks, and what a spreadsheet makes of columns."""
 
 import codecs
+import csv
+import io
+import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-_DECIMAL_COMMA = re.compile(r"(?<![\d,])-?\d+,\d+(?![\d,])")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+_GROUPED = re.compile(r"[-+]?\d{1,3}(\.\d{3})+,\d+|[-+]?\d{1,3}(,\d{3})+\.\d+")
 
 
 def decoded(data: bytes) -> str:
@@ -20,14 +27,38 @@ def read_text(path: Path) -> str:
     return decoded(path.read_bytes())
 
 
-def other_separators(head: str, row: str) -> str | None:
-    """What stands between the columns of ``head`` and in the numbers of ``row`` where commas and decimal
-    points are wanted, in words; None where those stand there.
+def parse_json(text: str) -> Any:
+    """What JSON ``text`` holds. Raises ValueError, also where it is nested too deeply for the parser."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+def comma_separated(lines: Sequence[str]) -> list[str]:
+    """Rows with commas between columns and points in numbers, of a table that may have semicolons or tabs,
+    and then decimal commas, as spreadsheets save it. The first row tells. Raises ValueError where a comma may
+    as well stand between thousands.
     """
-    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
-        if head.count(sign) > head.count(","):
-            commas = any(_DECIMAL_COMMA.fullmatch(cell.strip().strip('"')) for cell in row.split(sign))
-            numbers = ", and decimal commas in numbers" if commas else ""
-            form = "commas and decimal points are wanted" if commas else "commas are wanted"
-            return f"{name} stand between columns{numbers}: {form} (a spreadsheet saves so as CSV in English)"
-    return None
+    if any(len(line) > csv.field_size_limit() for line in lines):
+        raise ValueError(f"a line is longer than {csv.field_size_limit()} characters")
+    head = lines[0] if lines else ""
+    sign = next((sign for sign in ";\t" if head.count(sign) > head.count(",")), None)
+    if sign is None:
+        return list(lines)
+    try:
+        rows = list(csv.reader(lines, delimiter=sign, skipinitialspace=True))
+    except csv.Error as error:
+        raise ValueError(str(error)) from error
+    if len(rows) != len(lines):
+        raise ValueError("a cell goes over several lines")
+    decimal = [cell for row in rows for cell in row if _DECIMAL_COMMA.fullmatch(cell.strip())]
+    grouped = next((cell for row in rows for cell in row if _GROUPED.fullmatch(cell.strip())), "")
+    if grouped or (decimal and all(map(_THOUSANDS.fullmatch, map(str.strip, decimal)))):
+        why = "its comma may stand before decimals or between thousands: decimal points are wanted"
+        raise ValueError(f"{(grouped or decimal[0]).strip()}: {why}")
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    for row in rows:
+        table.writerow([c.replace(",", ".") if _DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row])
+    return text.getvalue().splitlines()

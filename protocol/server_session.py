@@ -106,7 +106,12 @@ class ReferenceServer:
         unconfirmed = self._unconfirmed
         if unconfirmed and now_ns - unconfirmed.greeted_ns > self._link_timeout_ms * NS_PER_MS:
             self._unconfirmed = None
-        if self._session is None or self.link_alive(now_ns):
+        if self._session is None:
+            return []
+        channel = self._session.channel
+        if channel.heard_ns is not None:  # a clock that goes back must not keep a dead link alive for as long
+            channel.heard_ns = min(channel.heard_ns, now_ns)
+        if self.link_alive(now_ns):
             return []
         return [self._close(Reason.LINK_TIMEOUT, now_ns, tell_peer=True)]
 

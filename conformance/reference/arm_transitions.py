@@ -131,8 +131,8 @@ def shown(state: State, mode: Mode) -> bool:
     return not (held and any(state.valves))
 
 
-def require_mode(peer: Peer, mode: Mode, what: str) -> None:
-    """Raises Failed unless the group is in ``mode``: by STATE, and by an answer where STATE is not enough."""
+def require_mode(peer: Peer, mode: Mode, what: str) -> State:
+    """A STATE of ``mode``; raises Failed unless the group is in it, by an answer if STATE is not enough."""
     state = peer.state()
     require(
         shown(state, mode),
@@ -142,6 +142,7 @@ def require_mode(peer: Peer, mode: Mode, what: str) -> None:
         code, reason = _TOLD_BY[mode]
         got = peer.command(code)
         require(got is reason, f"{what}: not in {mode.name}, where {code.name} is {reason.name}: {got.name}")
+    return state
 
 
 def is_ramping(state: State) -> bool:
@@ -201,14 +202,18 @@ def ask_cell(peer: Peer, mode: Mode, asked: Asked, step: Transition) -> None:
     assert peer.welcome is not None
     if asked in _OF_STREAMS and not peer.welcome.capabilities & CAPABILITY_STREAMING:
         raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
-    if mode is Mode.ERROR_RAMP and not is_ramping(peer.state()):
+    before = peer.state()
+    if mode is Mode.ERROR_RAMP and not is_ramping(before):
         raise _Over
     what = title_of(mode, asked)
     reason = answered(peer, asked, scene)
     if asked is Asked.ENABLE and step.reason is Reason.ACCEPTED and reason is Reason.PLANT_NOT_READY:
         raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     require(reason is step.reason, f"{what}: answered {reason.name}")
-    require_mode(peer, step.mode, what)
+    after = require_mode(peer, step.mode, what)
+    if reason is not Reason.ACCEPTED:
+        told = [(s.motion_id, s.fault, s.severity) for s in (before, after)]
+        require(told[0] == told[1], f"{what}: motion_id, fault and severity were {told[0]}, are {told[1]}")
 
 
 class _Over(Exception):

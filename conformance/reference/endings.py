@@ -22,6 +22,7 @@ from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     Acknowledgement,
+    Bye,
     Command,
     Heartbeat,
     Message,
@@ -147,6 +148,7 @@ def bye_while_stopping(peer: Peer) -> None:
 
 
 FLOOD = 2000
+BURSTS = 10
 REPEAT_MS = 20.0
 # A scan, a period of STATE and, most of it, the tester's reading of the answers to the flood.
 LATCHED_MS = 200
@@ -210,6 +212,60 @@ def overtaken_by_a_stop(peer: Peer) -> None:
         if answer.reason is Reason.OVERTAKEN:
             said = answer.value == answer.command_id and answer.limit > answer.value
             require(said, f"OVERTAKEN says {answer.value:g} and {answer.limit:g}")
+
+
+def _burst(peer: Peer, *requests: tuple[Message, int]) -> None:
+    """Messages, each in its session, within the time of a datagram: in one scan, but for a few."""
+    for data in [peer.encoded(message, session=session) for message, session in requests]:
+        peer.send_raw(data)
+
+
+@case(423, "6.12", "EMERGENCY_STOP is judged though its session ends in the same scan, by BYE or a restart")
+def stop_and_end(peer: Peer) -> None:
+    for end in ("BYE", "restart", "BYE", "restart"):
+        disabled(peer)
+        stopping = Command(peer.new_id(), CommandCode.EMERGENCY_STOP), peer.session
+        if end == "BYE":
+            _burst(peer, stopping, (Bye(Reason.SHUTDOWN), peer.session))
+        else:
+            _burst(peer, stopping, (Heartbeat(peer.now_ns), granted(peer)))
+        peer.session = 0
+        peer.open(period_ms=20)
+        latched = bool(peer.state().flags & FLAG_EMERGENCY_LATCHED)
+        require(latched, f"EMERGENCY_STOP was forgotten at {end}")
+
+
+@case(424, "6.13", "what comes after a stop in one scan is judged on its own merits")
+def after_a_stop(peer: Peer) -> None:
+    disabled(peer)
+    for code in (CommandCode.STOP, CommandCode.DISABLE) * 4:
+        stop, after = Command(peer.new_id(), code), Command(peer.new_id(), CommandCode.RESET)
+        _burst(peer, (stop, peer.session), (after, peer.session))
+        answer = peer.answer_to(after.command_id, f"RESET behind {code.name}")
+        require(answer.reason is Reason.NOT_IN_ERROR, f"RESET behind {code.name}: {answer.reason.name}")
+
+
+@case(425, "6.13", "of a reference and STOP in one scan nothing moves; ENABLE behind them is judged",
+      motion=True)  # fmt: skip
+def reference_and_stop(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    parted = 0
+    for _ in range(BURSTS):
+        good = ReferencePose(peer.new_id(), moved(here, dz=STEP_M), 5.0)
+        stop = Command(peer.new_id(), CommandCode.STOP)
+        enable = Command(peer.new_id(), CommandCode.ENABLE)
+        _burst(peer, *((each, peer.session) for each in (good, stop, enable)))
+        answers = {a.command_id: a.reason for a in peer.answers("a reference and STOP at once")}
+        require(len(answers) == 3, f"{len(answers)} answers to a reference, STOP and ENABLE")
+        require(answers[stop.command_id] is not Reason.OVERTAKEN, "STOP was overtaken")
+        if answers[good.command_id] is Reason.OVERTAKEN:
+            require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
+            enabled = answers[enable.command_id]
+            require(enabled is Reason.ALREADY_DONE, f"ENABLE behind STOP in STANDBY: {enabled.name}")
+            continue
+        parted += 1
+        peer.collect(500)
+    require(parted <= BURSTS // 2, f"the reference was judged before its STOP in {parted} of {BURSTS} bursts")
 
 
 @case(417, "6.14", f"behind {FLOOD} requests the newest is answered within {WAITING} scans and 200 ms")

@@ -167,14 +167,15 @@ def _hello(peer: Peer, nonce: int) -> Hello:
 SLACK_MS = 100
 
 
-@case(221, "4.9", "BYE ends the session at once")
+@case(221, "4.9", "BYE ends the session at once, whatever its reason")
 def bye(peer: Peer) -> None:
-    peer.open()
-    session = peer.session
-    peer.leave()
-    peer.collect(RATION_MS, beating=False)
-    peer.send(stop(peer), session=session)
-    peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE")
+    for reason in (Reason.ACCEPTED, *(reason for reason in Reason if reason >= Reason.INCOMPATIBLE_VERSION)):
+        peer.open()
+        session = peer.session
+        peer.leave(reason)
+        peer.collect(RATION_MS, beating=False)
+        peer.send(stop(peer), session=session)
+        peer.expect_bye(Reason.UNKNOWN_SESSION, f"a request after BYE {reason.name}")
 
 
 @case(222, "4.4", "BYE is never answered")

@@ -163,8 +163,17 @@ static void forget(Session *s) {
   memset(s, 0, sizeof *s);
 }
 
+static bool is_stop(const Request *r) {
+  uint32_t code = GET(uint32_t, r->payload, 8);
+  return r->kind == COMMAND && (code == STOP || code == DISABLE || code == EMERGENCY_STOP);
+}
+
+static Decision judge(const Request *r);
+
 static void end_session(int reason) { /* what was set in motion in it ends in the next scan (7.5) */
   Byte bye[8] = {(Byte)reason};
+  for (int k = 0; k < queued; k++)
+    if (is_stop(&queue[k])) judge(&queue[k]); /* still judged (6.12), answered to nobody */
   if (reason) send_in(&open_session, BYE, bye);
   forget(&open_session);
   session_ended = true;
@@ -186,11 +195,6 @@ static void decide(uint64_t id, Decision d) {
 }
 
 static Decision overtaken(uint64_t id, uint64_t by) { return (Decision){OVERTAKEN, (double)id, (double)by}; }
-
-static bool is_stop(const Request *r) {
-  uint32_t code = GET(uint32_t, r->payload, 8);
-  return r->kind == COMMAND && (code == STOP || code == DISABLE || code == EMERGENCY_STOP);
-}
 
 static void enqueue(int kind, uint64_t id, const Byte *payload) {
   if (queued == QUEUE) { /* 6.14: the oldest that is no stop gives way; of stops alone, one followed by its like */

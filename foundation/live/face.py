@@ -10,6 +10,7 @@ import itertools
 import json
 import socket
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -225,11 +226,24 @@ class LiveFace:
             feeder.tell_wanted(wanted)
 
     async def _plain_response(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The answer to what is no viewer, or may not look; None lets the handshake go on."""
-        scope = _scope(connection, request)
+        """The answer to what is no viewer, or may not look; None lets the handshake go on. HEAD is answered
+        as GET without the body, by those who only look whether anybody is there.
+        """
+        response = await self._response_to(_scope(connection, request), request.method)
+        if request.method != "HEAD":
+            return response
+        if response is None:
+            why = "viewers speak WebSocket here"
+            response = _refusal_response(problem(http.HTTPStatus.UPGRADE_REQUIRED, "request.no_viewer", why))
+            response.headers["Upgrade"] = "websocket"
+        return replace(response, body=b"")
+
+    async def _response_to(self, scope: dict[str, Any], method: str) -> Response | None:
         refusal = self._guard.refusal(scope)
         if refusal is not None:
             return _refusal_response(refusal)
+        if method not in ("GET", "HEAD"):
+            return None  # which is answered 405
         if scope["path"] == "/metrics":
             told = [await feeder.figures() for feeder in self._feeders]
             return _response(http.HTTPStatus.OK, "".join(told).encode(), _TEXT)
@@ -254,7 +268,7 @@ def _scope(connection: ServerConnection, request: Request) -> dict[str, Any]:
     ]
     return {
         "type": "http",
-        "method": "GET",
+        "method": request.method,
         "scheme": "http",
         "path": request.path.partition("?")[0],
         "headers": headers,

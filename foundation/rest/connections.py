@@ -7,11 +7,13 @@ connections get a 503 that was made beforehand.
 
 import asyncio
 import json
+import re
 from collections import Counter, OrderedDict, deque
 from collections.abc import Iterable
 from http import HTTPStatus
 from typing import Any
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, RefusalLog, problem
@@ -23,11 +25,18 @@ _MAX_SURPLUS = 1024  # connections too many that have not said what they want
 _SURPLUS_WITHIN_S = 1.0
 _BEGUN_IN_A_TURN = 2  # requests
 _LONGEST_LANE = 64  # bytes, of a request's beginning
+_MAX_AHEAD = 65_536  # bytes that a client may send before it is answered
+_LENIENT = re.compile(rb"(?<!\r)\n|\r\n[ \t]")  # a bare line feed, a folded line: proxies read them otherwise
 _TOO_MANY = problem(
     HTTPStatus.SERVICE_UNAVAILABLE,
     "refused.too_many_connections",
     "too many connections; only stops are served",
     advice="Close other pages and programs that ask this service.",
+)
+_TOO_FAR_AHEAD = problem(
+    HTTPStatus.TOO_MANY_REQUESTS,
+    "refused.too_far_ahead",
+    f"more than {_MAX_AHEAD} bytes came before the request in front of them was answered",
 )
 
 
@@ -158,7 +167,8 @@ class Surplus(asyncio.Protocol):
 class LaneProtocol(H11Protocol):
     """HTTP/1.1 on one connection. ``entered``: the address by which it counts; None: it is for one request.
 
-    A connection ends whose next request does not arrive whole, but for its body, in time.
+    A connection ends whose next request does not arrive whole, but for its body, in time, and whose client
+    does not wait for answers: uvicorn reads on while it answers, and h11 keeps what came without a bound.
     """
 
     def __init__(self, lanes: Lanes, entered: str | None, **given: Any) -> None:
@@ -208,6 +218,13 @@ class LaneProtocol(H11Protocol):
                 self.transport.resume_reading()
             self._parse(data)
 
+    def handle_events(self) -> None:
+        """Parse what has come; a request that others might read otherwise is answered 400."""
+        if self.conn.their_state is h11.IDLE and _LENIENT.search(_head(self.conn)):
+            self.send_400_response("Bare line feeds and folded lines are not read.")
+        else:
+            super().handle_events()
+
     def on_response_complete(self) -> None:
         """The next request is due; one that has come already is served at once."""
         super().on_response_complete()
@@ -225,6 +242,9 @@ class LaneProtocol(H11Protocol):
     def _parse(self, data: bytes) -> None:
         super().data_received(data)
         self._await_request()
+        if self.is_served and len(self.conn.trailing_data[0]) > _MAX_AHEAD:
+            self._lanes.refusals.tell(_TOO_FAR_AHEAD, self.client[0] if self.client else "unknown")
+            self.transport.abort()
 
     def _await_request(self) -> None:
         if self.cycle is not None and not self.cycle.response_complete:
@@ -236,6 +256,11 @@ class LaneProtocol(H11Protocol):
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
+
+
+def _head(connection: h11.Connection) -> bytes:
+    unparsed, _ = connection.trailing_data
+    return unparsed.partition(b"\r\n\r\n")[0]
 
 
 def _go_on_as(protocol: asyncio.Protocol, transport: asyncio.Transport) -> None:

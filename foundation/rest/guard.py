@@ -74,6 +74,9 @@ class AccessGuard:
         if self._senders is not None and sender not in self._senders:
             detail = f"without tokens only this machine may ask, not {sender}: unset LONGREACH_NO_TOKEN"
             return _problem(scope, HTTPStatus.FORBIDDEN, "refused.other_machine", detail)
+        if header_values(scope, b"content-length") and header_values(scope, b"transfer-encoding"):
+            detail = "Content-Length and Transfer-Encoding in one request: where it ends is nowhere written"
+            return _problem(scope, HTTPStatus.BAD_REQUEST, "request.ambiguous_length", detail)
         hosts = header_values(scope, b"host")
         if len(hosts) != 1 or not self._is_ours(hosts[0], scope):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"

@@ -8,7 +8,7 @@ import typer
 
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
-from testbed.reporting.console import out, table, writable, write_json
+from testbed.reporting.console import out, promised, table, writable, write_json
 
 if TYPE_CHECKING:
     from testbed.arms import ArmFinding
@@ -85,7 +85,7 @@ def new(
 
     source = arm_directory(config_dir, like)
     directory = Path(chosen) if "/" in chosen else config_dir / ARMS_DIR / chosen
-    for path in begin_arm(directory, source, load_settings(source, {})):
+    for path in begin_arm(promised(directory), source, load_settings(source, {})):
         out.print(str(path), highlight=False, soft_wrap=True)
     out.print(f"edit them, then: longreach arm check {chosen}", style="dim", highlight=False, soft_wrap=True)
 

@@ -8,6 +8,7 @@ import typer
 from foundation.command_options import unfolded
 from protocol.errors import RequestRefused
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, PicturedBoard, Seed, Settings
+from testbed.reporting.console import writable
 from vision_pc.config.choices import LensModel
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ Source = Annotated[
         help="live (as vision.camera says), a device's number, a side-by-side film, or a directory of pairs.",
     ),
 ]
-Out = Annotated[Path, typer.Option("--out", help="Where the calibration goes.")]
+Out = Annotated[Path, typer.Option("--out", help="Where the calibration goes.", callback=writable)]
 Size = Annotated[str | None, typer.Option(help="One eye's picture, WIDTHxHEIGHT.")]
 
 

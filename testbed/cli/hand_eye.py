@@ -222,7 +222,7 @@ def resume(
 )
 def export(
     session: Annotated[Path, typer.Argument(help="A session's file.")],
-    samples: Annotated[Path, typer.Option("--out", help="Where its samples go.")],
+    samples: Annotated[Path, typer.Option("--out", help="Where its samples go.", callback=writable)],
 ) -> None:
     """A session's samples as a file for `longreach hand-eye solve` and `compare`."""
     from testbed.hand_eye import session_text
@@ -301,7 +301,7 @@ def samples_of_pictures(
 
 @app.command(epilog="Example: longreach hand-eye drawing --out configs/cabinet.png")
 def drawing(
-    file: Annotated[Path, typer.Option("--out", help="Where the PNG goes.")],
+    file: Annotated[Path, typer.Option("--out", help="Where the PNG goes.", callback=writable)],
     scenario: Annotated[str, typer.Option(help="Whose cabinet.")] = "hand_eye",
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:

@@ -110,9 +110,11 @@ def _adjust_in_image_space(
 
 
 def run_compare(source: SampleSource, json_file: Path | None) -> None:
-    """Print the hold-out errors of all methods."""
+    """Print the hold-out errors of all methods. Raises MeasurementFailed where no method has any."""
     pairs = _samples(source)
     rows = hold_out(source.file.stem, pairs)
+    if all(row.error for row in rows):
+        raise MeasurementFailed("measurement.hand_eye.too_few_samples", f"{source.file}: {rows[0].error}")
     out.print(hold_out_table(rows))
     write_json(json_file, {"rows": rows})
 

@@ -27,7 +27,7 @@ from testbed.cli.options import (
     TriedElsewhere,
 )
 from testbed.cli.root import RootGroup, show_version
-from testbed.reporting.console import writable
+from testbed.reporting.console import promised, writable
 
 app = typer.Typer(
     name="longreach",
@@ -80,7 +80,7 @@ def init(
     """Copy the shipped configuration, to be edited: files, scenarios and arms."""
     if directory.exists():
         raise ConfigurationError("configuration.not_empty", f"{directory} is there: nothing was copied")
-    shutil.copytree(shipped_configs(), directory)
+    shutil.copytree(shipped_configs(), promised(directory))
     typer.echo(f"{directory}: copied from {shipped_configs()}; --config-dir {directory}")
 
 

@@ -171,9 +171,9 @@ class TriedElsewhere(NamedTuple):
 class OdometryOptions(NamedTuple):
     """Where a recording's path goes, and what it is compared with."""
 
-    trajectory: Annotated[Path, typer.Option("--out", help="Where the TUM trajectory goes.")] = Path(
-        "trajectory.tum"
-    )
+    trajectory: Annotated[
+        Path, typer.Option("--out", help="Where the TUM trajectory goes.", callback=writable)
+    ] = Path("trajectory.tum")
     rate_hz: Annotated[
         float, typer.Option(min=0.1, help="Pairs a second, where neither times.txt nor names tell.")
     ] = 10.0

@@ -4,14 +4,14 @@ import time
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-import cv2
 import numpy as np
 
 from foundation.configuration import load, parse_overrides
 from protocol.errors import ConfigurationError
 from testbed.cli.options import OdometryOptions
-from testbed.reporting.console import bars, out, table, write_json
+from testbed.reporting.console import bars, out, promised, table, write_json
 from testbed.reporting.trajectory_errors import TrajectoryErrors, read_tum, trajectory_errors
+from vision_pc.application.annotate import png
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception.picture_markers import PictureMarker, drawn, search
@@ -129,7 +129,7 @@ class ToolPoses:
 
 def _write_trajectories(trajectory: Path, result: SequenceResult) -> list[Path]:
     """The files of all trajectories: that of the first map, then one for each that is apart."""
-    write_side_file(trajectory.with_suffix(".csv"), result)
+    write_side_file(promised(trajectory.with_suffix(".csv")), result)
     files = [trajectory] + [
         trajectory.with_name(f"{trajectory.stem}.map{k}{trajectory.suffix}") for k in result.apart
     ]
@@ -227,9 +227,8 @@ def _detect_in_picture(
     found = search(image, dictionary, requested)
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(
-            str(directory / f"{path.parent.name}_{path.stem}_markers.png"), drawn(image, found.markers)
-        )
+        to = directory / f"{path.parent.name}_{path.stem}_markers.png"
+        to.write_bytes(png(drawn(image, found.markers)))
     if found.edgeless:
         which = " ".join(map(str, found.edgeless))
         notes.append(f"{path.name}: left out, as no edge of ink and paper is at their corners: {which}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import JsonFile
-from testbed.reporting.console import nothing_half_made, out, table, write_json
+from testbed.reporting.console import out, promised, table, write_json
 
 if TYPE_CHECKING:
     from foundation.recording.recovery import Contents
@@ -62,8 +62,7 @@ def recover_command(
     """Write what can be read of a cut or damaged recording anew, with its index; tell what could not."""
     from foundation.recording.recovery import recover
 
-    with nothing_half_made(target):
-        found = recover(file, target)
+    found = recover(file, promised(target))
     for damage in found.damages:
         out.print(f"lost at byte {damage.offset}: {damage.what}", highlight=False)
     out.print(f"{found.messages} messages, {_length(found):.1f} s in {target}", highlight=False)
@@ -79,7 +78,7 @@ def to_csv(
     """One CSV file a topic, a column a number, times in nanoseconds."""
     from testbed.recordings.comparison import write_tables
 
-    tables, left_out = write_tables(file, directory)
+    tables, left_out = write_tables(file, promised(directory))
     for name, made in tables.items():
         out.print(f"{directory / name}: {made.rows} rows of {made.topic}", highlight=False, markup=False)
     if left_out:
@@ -105,8 +104,7 @@ def merge_command(
     from testbed.recordings.merging import merge
 
     files = [file for path in what for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
-    with nothing_half_made(target):
-        clocks = merge(files, target, attached or [])
+    clocks = merge(files, promised(target), attached or [])
     rows = [
         (name, f"{1e-6 * at.offset_ns:+.3f}", f"{at.drift_ppm:+.2f}", f"{1e-3 * at.uncertainty_ns:.0f}")
         for name, at in clocks.items()

@@ -1,8 +1,11 @@
 """Every command of ``longreach``: loaded when asked for; trouble is one line and a status, no traceback."""
 
+import errno
 import importlib.metadata
 import re
+import shutil
 import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,7 +20,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from protocol.errors import ConfigurationError, LongreachError
-from testbed.reporting.console import INTERRUPTED, LONG, Verbosity, err, long_command
+from testbed.reporting.console import INTERRUPTED, LONG, Verbosity, err, long_command, nothing_half_made
 
 
 class Later(NamedTuple):
@@ -268,33 +271,14 @@ class RootGroup(LaterGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; refusals, an operating system that will not, and Ctrl-C end the process."""
-        try:
-            with _one_line():
-                return super().invoke(ctx)
-        except LongreachError as error:
-            _end(f"{error.cause}: {error}", FAILED)
-        except KeyboardInterrupt:
-            name = long_command(ctx.meta.get(_TYPED, []))
-            again = f"; run again, it {LONG[name].again}" if name else ""
-            _end(f"ended by Ctrl-C{again}", INTERRUPTED)
-        except (MemoryError, ImportError) as error:
-            if isinstance(error, ImportError) and "map" not in str(error):
-                raise
-            from testbed.realtime.limits import least_memory
-
-            limit = least_memory()
-            room = f"{limit.bytes // 2**20} MB available to {limit.whose}: {limit.advice}"
-            _end(f"system.memory: not enough memory ({error or 'allocation failed'}); {room}", FAILED)
-        except BrokenPipeError:
-            raise  # the reader of our output has gone; typer ends quietly
-        except OSError as error:
-            what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            _end(f"system.refused: {what}", FAILED)
+        with _one_line(ctx), nothing_half_made(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy's: what they warn of is refused in our words
+            return super().invoke(ctx)
 
 
 @contextmanager
-def _one_line() -> Iterator[None]:
-    """What the command line refuses becomes one line, in place of usage, hint and a frame."""
+def _one_line(ctx: Any = None) -> Iterator[None]:
+    """What is refused becomes one line, in place of usage, hint, a frame or a traceback; so does Ctrl-C."""
     try:
         yield
     except TyperException as error:
@@ -304,6 +288,27 @@ def _one_line() -> Iterator[None]:
         cause = _CAUSES.get(type(error).__name__, other)
         command = getattr(getattr(error, "ctx", None), "command_path", "longreach")
         _end(f"usage.{cause}: {_in_words(error)}; see `{command} --help`", FAILED)
+    except LongreachError as error:
+        _end(f"{error.cause}: {error}", FAILED)
+    except KeyboardInterrupt:
+        name = long_command([] if ctx is None else ctx.meta.get(_TYPED, []))
+        again = f"; run again, it {LONG[name].again}" if name else ""
+        _end(f"ended by Ctrl-C{again}", INTERRUPTED)
+    except (MemoryError, ImportError) as error:
+        if isinstance(error, ImportError) and "map" not in str(error):
+            raise
+        from testbed.realtime.limits import least_memory
+
+        limit = least_memory()
+        room = f"{limit.bytes // 2**20} MB available to {limit.whose}: {limit.advice}"
+        _end(f"system.memory: not enough memory ({error or 'allocation failed'}); {room}", FAILED)
+    except BrokenPipeError:
+        raise  # the reader of our output has gone; typer ends quietly
+    except shutil.Error as error:  # of a copied directory: one of each file
+        _end(f"system.refused: {error.args[0][0][1]}: {error.args[0][0][2]}", FAILED)
+    except OSError as error:
+        where = error.filename or ("output" if error.errno == errno.ENOSPC else "")
+        _end(f"system.refused: {f'{where}: {error.strerror}' if where else error}", FAILED)
 
 
 def _in_words(error: TyperException) -> str:

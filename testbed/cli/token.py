@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from foundation.secret_source import write_new_secret
+from testbed.reporting.console import promised
 
 app = typer.Typer(help="Tokens of the REST APIs, and keys of the link.", no_args_is_help=True)
 
@@ -24,5 +25,5 @@ def new(
     for path in files:
         if keep and path.exists():
             continue
-        write_new_secret(path)
+        write_new_secret(promised(path))
         typer.echo(f"{path}: made")

@@ -5,7 +5,6 @@ is repaired silently: quaternions far from unit norm are normalised only when th
 """
 
 import csv
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,10 +12,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
-from foundation.foreign_text import other_separators
-from protocol.errors import RequestRefused
+from foundation.configuration import parse_yaml
+from foundation.foreign_text import comma_separated, parse_json
+from protocol.errors import ConfigurationError, RequestRefused
 from testbed.hand_eye.pose_text import (
     UNITS,
     file_text,
@@ -69,12 +68,11 @@ def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
 
 def _document(text: str, is_yaml: bool) -> Any:
     try:
-        return yaml.safe_load(text) if is_yaml else json.loads(text)
-    except json.JSONDecodeError as error:
+        return parse_yaml(text, "not YAML") if is_yaml else parse_json(text)
+    except ValueError as error:
         raise RequestRefused("refused.hand_eye.unreadable", f"not JSON: {error}") from error
-    except yaml.YAMLError as error:
-        why = f"not YAML: {' '.join(str(error).split())}"
-        raise RequestRefused("refused.hand_eye.unreadable", why) from error
+    except ConfigurationError as error:
+        raise RequestRefused("refused.hand_eye.unreadable", str(error)) from error
 
 
 def _from_document(data: Any, options: ImportOptions) -> PosePairs:
@@ -246,8 +244,10 @@ def _pairs(
 
 def _from_csv(text: str, options: ImportOptions) -> PosePairs:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if (why := other_separators(*[*lines, "", ""][:2])) is not None:
-        raise RequestRefused("refused.hand_eye.format", why)
+    try:
+        lines = comma_separated(lines)
+    except ValueError as error:
+        raise RequestRefused("refused.hand_eye.format", str(error)) from error
     while lines and all(line.rstrip().endswith(",") for line in lines):  # empty columns of a spreadsheet
         lines = [line.rstrip()[:-1] for line in lines]
     reader = csv.DictReader(lines, skipinitialspace=True)

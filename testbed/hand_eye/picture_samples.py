@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from rich.table import Table
 
+from foundation.foreign_text import parse_json
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.camera.checking import question
 from testbed.hand_eye.importer import FORMAT
@@ -137,8 +138,8 @@ def read_camera(path: Path, size: tuple[int, int]) -> CameraFile:
 
 def _read_intrinsics(path: Path) -> CameraFile:
     try:
-        data = json.loads(file_text(path))
-    except json.JSONDecodeError as error:
+        data = parse_json(file_text(path))
+    except ValueError as error:
         raise RequestRefused("refused.hand_eye.unreadable", f"{path.name}: not JSON: {error}") from error
     if not isinstance(data, dict) or not {"K", "distortion", "covariance"} <= set(data):
         raise RequestRefused(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from foundation.foreign_text import read_text
+from foundation.foreign_text import comma_separated, read_text
 from protocol.errors import RequestRefused
 from testbed.hand_eye.pose_forms import PoseForm
 from vision_pc.core import se3
@@ -27,6 +27,13 @@ def file_text(path: Path) -> str:
         return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {error}") from error
+
+
+def _rows(path: Path) -> list[str]:
+    try:
+        return comma_separated(file_text(path).splitlines())
+    except ValueError as error:
+        raise RequestRefused("refused.hand_eye.format", f"{path.name}: {error}") from error
 
 
 def unit_scale(name: Any) -> float:
@@ -106,7 +113,7 @@ def read_robot_poses(
     poses: list[Array] = []
     names: list[str | None] = []
     widest = 0.0
-    for number, line in enumerate(file_text(path).splitlines(), start=1):
+    for number, line in enumerate(_rows(path), start=1):
         words = re.split(r"[,;\s]+", line.strip().strip("[],;"))
         if not line.strip() or line.lstrip().startswith("#"):
             continue

@@ -1,10 +1,10 @@
 """The guided dialogue as text: what each step of a session says on the terminal."""
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from foundation.foreign_text import parse_json
 from foundation.secret_source import secret_from_file
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import FORMAT
@@ -140,7 +140,7 @@ def exported(session: Path, samples: Path) -> None:
     Raises RequestRefused (``refused.hand_eye.format``).
     """
     try:
-        document = json.loads(file_text(session))
+        document = parse_json(file_text(session))
         if document["format"] not in (sessions.FORMAT, sessions.FORMAT_1):
             raise ValueError(f"format is {document['format']!r}, {sessions.FORMAT!r} is wanted")
         exported_document = {

@@ -9,15 +9,15 @@ import csv
 import hashlib
 import io
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 from pydantic import Field
 
-from foundation.configuration import StrictModel, validated
-from foundation.foreign_text import decoded, other_separators
+from foundation.configuration import StrictModel, parse_mapping, validated
+from foundation.foreign_text import comma_separated, decoded
 from plant_emulator.config.actuators import BAR
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from protocol.errors import ConfigurationError
@@ -127,8 +127,11 @@ def read_recording(path: Path) -> MotionRecording:
         raise ConfigurationError("recording.not_one", f"{path}: the first line is not '# {FIRST_LINE}'")
     about = _about("\n".join(header[1:]), path)
     body = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
-    if (why := other_separators(*(line for _, line in [*body, (0, ""), (0, "")][:2]))) is not None:
-        raise ConfigurationError("recording.separators", f"{path}: {why}")
+    try:
+        rows = comma_separated([line for _, line in body])
+    except ValueError as error:
+        raise ConfigurationError("recording.separators", f"{path}: {error}") from error
+    body = [(number, line) for (number, _), line in zip(body, rows, strict=True)]
     names, order = _order(body[0][1] if body else "", path)
     table = np.array([_numbers(line, number, names, path) for number, line in body[1:]])
     table = table.reshape(len(table), len(names))[:, order]
@@ -153,10 +156,11 @@ def _without_empty_cells(line: str) -> str:
 
 def _about(text: str, path: Path) -> About:
     try:
-        data: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError("recording.not_one", f"{path}: {' '.join(str(error).split())}") from error
-    return validated(About, data if isinstance(data, dict) else {}, str(path))
+        return validated(About, parse_mapping(text, str(path)), str(path))
+    except ConfigurationError as error:
+        if error.cause not in ("configuration.not_yaml", "configuration.not_a_mapping"):
+            raise
+        raise ConfigurationError("recording.not_one", str(error)) from error
 
 
 def _order(line: str, path: Path) -> tuple[list[str], list[int]]:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from foundation.command_options import usual_configs
-from testbed.reporting.console import out
+from testbed.reporting.console import out, writable
 
 app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
@@ -34,7 +34,9 @@ def effects_command(
 
 @app.command("machine", epilog="Example: longreach picture machine --out docs/images/machine.png")
 def machine_command(
-    path: Annotated[Path, typer.Option("--out", help="Where the picture goes (PNG or SVG).")],
+    path: Annotated[
+        Path, typer.Option("--out", help="Where the picture goes (PNG or SVG).", callback=writable)
+    ],
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
@@ -47,7 +49,9 @@ def machine_command(
 
 @app.command("run", epilog="Example: longreach picture run --out docs/images/run.webp --seed 1")
 def run_command(
-    path: Annotated[Path, typer.Option("--out", help="Where the animation goes (WebP or GIF).")],
+    path: Annotated[
+        Path, typer.Option("--out", help="Where the animation goes (WebP or GIF).", callback=writable)
+    ],
     scenario: Annotated[str, typer.Option(help="Draw the world from this scenario.")] = "standard",
     seed: Annotated[int, typer.Option(min=0, help="The same seed is the same world.")] = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,

@@ -20,6 +20,7 @@ from plant_emulator.core.mechanics.geometry import transform
 from plant_emulator.core.plant import Plant
 from testbed.reporting.console import bars, out, table, write_json
 from testbed.scenarios.scenario import load_settings
+from vision_pc.application.annotate import png
 
 Grey = NDArray[np.uint8]
 
@@ -279,13 +280,13 @@ def draw_effects(config_dir: Path, directory: Path, json_file: Path | None) -> N
             off, on = pictured(effect, settings.scene, view)
             stem = effect.name.replace(",", "").replace(" ", "_")
             for state, picture in (("off", off), ("on", on)):
-                cv2.imwrite(str(directory / f"{stem}_{state}.png"), picture)
+                (directory / f"{stem}_{state}.png").write_bytes(png(picture))
             change = np.abs(on.astype(float) - off)
             rows.append((effect.name, effect.switch, change.mean(), 100.0 * (change > 0.0).mean()))
             pairs.append(Pair(effect.name, effect.switch, off, on))
             bar.update(number / len(wanted), effect.name)
     path = directory / "camera_effects.png"
-    cv2.imwrite(str(path), contact_sheet(pairs), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    path.write_bytes(png(contact_sheet(pairs)))
     shown_rows = [(name, switch, f"{mean:.2f}", f"{share:.1f}") for name, switch, mean, share in rows]
     out.print(table("effects of camera and scene, off against on", _HEADINGS, shown_rows))
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)

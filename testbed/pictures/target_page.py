@@ -1,5 +1,6 @@
 """A marker or board on a page at true scale: its black cells in mm, and the page with rulers."""
 
+import io
 from pathlib import Path
 from typing import NamedTuple
 
@@ -184,7 +185,9 @@ def _draw(shape: TargetShape, page: Page, to: Path) -> None:
         _MARGIN_MM + _LEFT_MM, height - _MARGIN_MM, f"{shape.description}. Print at 100 %: both rulers are "
         f"{_RULER_MM} mm.", fontsize=7, va="bottom",
     )  # fmt: skip
-    figure.savefig(to, format="pdf", metadata={"CreationDate": None})
+    drawn = io.BytesIO()  # zlib has words of its own for a full disk
+    figure.savefig(drawn, format="pdf", metadata={"CreationDate": None})
+    to.write_bytes(drawn.getvalue())
 
 
 def _ruler(x: float, y: float) -> Array:

@@ -30,12 +30,14 @@ def least_memory(groups: Path | None = None) -> MemoryLimit:
 def cores_of_container(groups: Path | None = None) -> float | None:
     """How many processors' time the container may use; None where it is not limited."""
     groups = groups or _own_group()
-    words = _text(groups / "cpu.max").split()
-    if not words:
-        words = [_text(groups / "cpu" / f"cpu.cfs_{name}_us") for name in ("quota", "period")]
-    if len(words) != 2 or not all(word.isdigit() for word in words):
-        return None
-    return int(words[0]) / max(int(words[1]), 1)
+    found = []
+    for group in _within(groups):
+        words = _text(group / "cpu.max").split()
+        if not words:
+            words = [_text(group / "cpu" / f"cpu.cfs_{name}_us") for name in ("quota", "period")]
+        if len(words) == 2 and all(word.isdigit() for word in words):
+            found.append(int(words[0]) / max(int(words[1]), 1))
+    return min(found, default=None)
 
 
 def _own_group() -> Path:
@@ -45,12 +47,21 @@ def _own_group() -> Path:
     return group if (group / "memory.max").exists() else _GROUPS
 
 
+def _within(group: Path) -> Iterator[Path]:
+    """A cgroup and those around it: each limits what is in it (a Kubernetes pod, a systemd slice)."""
+    yield group
+    if _GROUPS in group.parents:
+        yield from _within(group.parent)
+
+
 def _memory_limits(groups: Path) -> Iterator[MemoryLimit]:
     yield MemoryLimit(psutil.virtual_memory().available, "this machine", "close something")
-    most, used = (_number(groups, name) for name in ("memory.max", "memory.current"))
-    if most is not None:
-        advice = "raise the container's memory limit (cgroup memory.max)"
-        yield MemoryLimit(max(most - (used or 0), 0), "this container", advice)
+    for group in _within(groups):
+        most, used = (_number(group, name) for name in ("memory.max", "memory.current"))
+        if most is not None:
+            whose = "this container" if group == groups else f"the control group {group.name or group}"
+            advice = "raise its memory limit (cgroup memory.max)"
+            yield MemoryLimit(max(most - (used or 0), 0), whose, advice)
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY:
         left = max(allowed - psutil.Process().memory_info().vms, 0)

@@ -1,6 +1,7 @@
 """What all commands of ``longreach`` share: consoles, progress bars, tables, JSON files."""
 
 import json
+import os
 import shutil
 import sys
 import time
@@ -13,7 +14,9 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
 from rich.table import Table
+from typer import Exit
 
 from protocol.errors import ConfigurationError
 
@@ -32,8 +35,23 @@ class Verbosity:
     verbose = False  # of a refusal also where it was raised
 
 
-out = Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
-err = Console(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
+_CONTROL = {code: "?" for code in (*range(32), *range(127, 160)) if chr(code) != "\n"}
+
+
+class PlainConsole(Console):
+    """Prints no control character of a text: names in other people's files must not command the terminal."""
+
+    def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
+        """The segments of ``renderable``, with a sign for each control character."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=segment.text.translate(_CONTROL))
+
+
+# A closed stream: its number would be that of the next file, and what is printed there would go into that.
+sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
+out = PlainConsole(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
+err = PlainConsole(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
 
 
 def plain(value: Any) -> Any:
@@ -71,12 +89,39 @@ def write_json(path: Path | None, figures: Mapping[str, Any]) -> None:
         out.print(f"figures written to {path}", style="dim", highlight=False, soft_wrap=True)
 
 
+_promised: list[Path] = []
+
+
+def promised(path: Path) -> Path:
+    """``path``, to be made by this command line: where it was not there, a failure leaves none of it."""
+    if not path.exists():
+        _promised.append(path)
+    return path
+
+
+@contextmanager
+def nothing_half_made() -> Iterator[None]:
+    """What was ``promised`` within this block is removed again where the block fails, or Ctrl-C ends it."""
+    _promised.clear()
+    try:
+        yield
+    except Exit:
+        raise  # a verdict, not a failure
+    except (Exception, KeyboardInterrupt):
+        for path in _promised:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+        raise
+
+
 def writable(path: Path | None) -> Path | None:
     """``path``, to which a file can be written later. Raises ConfigurationError now, not after the work."""
     if path is not None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            there = path.exists()
+            there = promised(path).exists()
             path.open("a").close()
             if not there:
                 path.unlink()
@@ -234,20 +279,6 @@ def long_command(words: Sequence[str]) -> str | None:
     """The long command that ``words``, options among them, begin with; None: one too short to be told of."""
     found = [name for name in LONG if list(words[: name.count(" ") + 1]) == name.split()]
     return max(found, key=len, default=None)
-
-
-@contextmanager
-def nothing_half_made(target: Path) -> Iterator[None]:
-    """Where Ctrl-C ends the block, a file or directory that it began is removed: it would be in the way."""
-    there = target.exists()
-    try:
-        yield
-    except KeyboardInterrupt:
-        if target.is_dir() and not there:
-            shutil.rmtree(target, ignore_errors=True)
-        elif not there:
-            target.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager

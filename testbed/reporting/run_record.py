@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from foundation.command_options import shipped_configs
+from foundation.foreign_text import parse_json
 from testbed.reporting.console import plain
 from testbed.scenarios.scenario import Settings, load_settings
 
@@ -29,6 +30,13 @@ LIBRARIES = (
     "clarabel",
     "ruckig",
 )
+_TYPES: dict[str, Any] = {
+    "took_s": (int, float),
+    "process": int,
+    "command": list,
+    "machine": dict,
+    "changed": dict,
+}
 _ROOT = Path(__file__).parents[2]
 
 
@@ -107,10 +115,13 @@ def note(directory: Path, **facts: Any) -> None:
 def read(directory: Path) -> KeptRun:
     """The record in ``directory``; without facts where there is none, or none that can be read."""
     try:
-        facts = json.loads((directory / RECORD_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        facts = parse_json((directory / RECORD_FILE).read_text(encoding="utf-8"))
+    except OSError:
         return KeptRun(directory, {})
-    return KeptRun(directory, facts if isinstance(facts, dict) else {})
+    except ValueError:
+        facts = None
+    sound = isinstance(facts, dict) and all(isinstance(facts[k], t) for k, t in _TYPES.items() if k in facts)
+    return KeptRun(directory, facts if sound else {"took_s": 0.0, "ended_by": f"{RECORD_FILE} is damaged"})
 
 
 def note_settings(directory: Path, used: Settings) -> None:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from foundation.configuration import layers, load, read_yaml
 from testbed.scenarios.scenario import MODELS
 
 _NONE = object()  # null is a value
@@ -47,13 +48,16 @@ _PER = {"s": "1/s", "m": "1/m", "k": "1/K", "bar": "1/bar"}
 def described_keys(config_dir: Path, pattern: str = "") -> list[DescribedKey]:
     """The keys of ``config_dir`` whose name holds ``pattern``, or matches it where it has a ``*``.
 
-    Those that a file leaves out come with their default. Raises OSError where a file is absent.
+    Those that a file leaves out come with their default. Raises ConfigurationError for a file that is absent
+    or that no service would start with.
     """
     setters = _setters(config_dir)
     found = []
     for name, model in MODELS.items():
         schema = model.model_json_schema()
-        written = list(keys((config_dir / f"{name}.yaml").read_text(encoding="utf-8")))
+        load(model, config_dir / f"{name}.yaml")
+        files = (layer / f"{name}.yaml" for layer in layers(config_dir))
+        written = list({key.path: key for file in files if file.is_file() for key in keys(file)}.values())
         absent = [Key(*one, "") for one in left_out(schema, {key.path for key in written})]
         for key in (*written, *absent):
             path = f"{name}.{key.path}"
@@ -81,19 +85,23 @@ def _setters(config_dir: Path) -> dict[str, tuple[str, ...]]:
         name = str(file.relative_to(config_dir))
         if name.removesuffix(".yaml") in MODELS:
             continue
-        for key in keys(file.read_text(encoding="utf-8")):
+        for key in keys(file):
             path = key.path.removeprefix("draws.").removeprefix("overrides.")
             top = path if file.parent.name == "scenarios" else f"{file.stem.partition('_')[0]}.{path}"
             setters.setdefault(top, []).append(name)
     return {path: tuple(names) for path, names in setters.items()}
 
 
-def keys(text: str) -> Iterator[Key]:
-    """The keys of a YAML file that hold a value or a list, with the comments above and beside them."""
-    lines = text.splitlines()
+def keys(file: Path) -> Iterator[Key]:
+    """The keys of a YAML file that hold a value or a list, with the comments above and beside them.
+
+    Raises ConfigurationError as ``read_yaml``.
+    """
+    read_yaml(file)
+    text = file.read_text(encoding="utf-8")
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     assert isinstance(root, yaml.MappingNode)
-    yield from _keys(root, "", lines)
+    yield from _keys(root, "", text.splitlines())
 
 
 def _keys(node: yaml.MappingNode, before: str, lines: list[str]) -> Iterator[Key]:

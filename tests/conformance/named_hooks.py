@@ -9,8 +9,8 @@ from controller.core.requests import react_to_fault
 from controller.core.supervision import Fault
 from protocol.axes_group import Mode
 from protocol.datagram_layout import Kind
-from protocol.faults import CommandCode, FaultCode
-from protocol.reference_messages import Command, ReferencePose, Request, State
+from protocol.faults import CommandCode, FaultCode, Reason
+from protocol.reference_messages import Acknowledgement, Command, ReferencePose, Request, State
 from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest, settings
 from tests.conformance.mutator import BrokenController, hooked, says
@@ -83,6 +83,23 @@ def _latches_in(mode: Mode) -> Callable[[Any], None]:
     return scan
 
 
+def _after_a_refusal(**fields: Callable[[int], Any]) -> Any:
+    """Shows other fields for the rest of a ramp in which a request was refused; each gets its id."""
+
+    def answered(self: Any, answer: Acknowledgement) -> list[Acknowledgement]:
+        if answer.reason is not Reason.ACCEPTED and self.bench.state.mode is Mode.STOPPING:
+            self.refused = answer.command_id
+        return [answer]
+
+    def shown(self: Any, state: State) -> State:
+        if self.bench.state.mode is not Mode.STOPPING:
+            self.refused = 0
+        other = {name: field(self.refused) for name, field in fields.items()} if self.refused else {}
+        return state._replace(**other)
+
+    return hooked(refused=0, answered=answered, shown=shown)
+
+
 class OneHeartbeatAScan(ControllerUnderTest):
     """Answers one heartbeat in a scan, and reads no further before it has."""
 
@@ -123,6 +140,9 @@ MUTANTS = tuple(
         ("does not normalise", (441,), hooked(norm=1.0, judge=_notes_the_norm, shown=_shows_the_norm)),
         ("waits for references", (572,),
          hooked(configured=lambda _: settings("controller.streaming.silence_ms=800"))),
+        ("shows the motion that was refused", (840,), _after_a_refusal(motion_id=int)),
+        ("shows a fault once it has refused", (840,),
+         _after_a_refusal(fault=lambda _: FaultCode.REFERENCE_STALE)),
         ("takes NaN for the last reference", (546, 553), hooked(good=None, judge_streamed=_last_finite)),
         ("follows any stream", (554,),
          hooked(judge_streamed=_of_message(stream_id=lambda _, s: s.stream_id))),

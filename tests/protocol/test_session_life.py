@@ -112,6 +112,13 @@ class TestClosing:
             next(e.session for e in wire.server_events if isinstance(e, SessionOpened)), Reason.LINK_TIMEOUT
         )
 
+    def test_a_clock_that_goes_back_does_not_keep_a_silent_link_alive(self) -> None:
+        wire = Wire().connect().run(500)
+        back_ns = wire.server_ns - 10_000 * MS
+        assert wire.server.tick(back_ns) == []
+        assert wire.server.tick(back_ns + TIMEOUT_MS * MS) == []
+        assert [type(event) for event in wire.server.tick(back_ns + TIMEOUT_MS * MS + 1)] == [SessionClosed]
+
     def test_the_server_tells_a_deaf_client_that_it_gave_up(self) -> None:
         wire = Wire().connect()
         wire.loses = lambda direction, data: direction == "up"

@@ -92,8 +92,7 @@ def page() -> str:
 
 def _file(name: str) -> str:
     schema = MODELS[name].model_json_schema()
-    text = (CONFIGS / f"{name}.yaml").read_text(encoding="utf-8")
-    written = list(keys(text))
+    written = list(keys(CONFIGS / f"{name}.yaml"))
     rows = [
         (f"`{key.path}`", _code(key.value), allowed(schema, key.path), _cell(key.comment)) for key in written
     ]

@@ -3,6 +3,7 @@
 An attack runs in a process of its own, and only against addresses of this machine.
 """
 
+import select
 import selectors
 import socket
 import struct
@@ -222,6 +223,58 @@ def pollers_of_state(targets: Listeners, seconds: float) -> Counts:
     return _pollers(targets.rest, "/state", 8, 100.0, seconds)
 
 
+def pipelined_requests(targets: Listeners, seconds: float) -> Counts:
+    """One client that sends requests for the state without waiting for answers, which it reads."""
+    counts: Counts = Counter()
+    batch = f"GET /state HTTP/1.1\r\nHost: {targets.rest[0]}\r\n\r\n".encode() * 400
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        try:
+            with socket.create_connection(targets.rest, timeout=2.0) as connection:
+                counts["connected"] += 1
+                _pipeline(connection, batch, until_s, counts)
+        except OSError:
+            counts["closed"] += 1
+    return counts
+
+
+def _pipeline(connection: socket.socket, batch: bytes, until_s: float, counts: Counts) -> None:
+    """Send ``batch`` again and again, and read; raises OSError when the connection ends."""
+    connection.setblocking(False)
+    while time.monotonic() < until_s:
+        readable, writable, _ = select.select([connection], [connection], [], 0.1)
+        if readable:
+            answers = connection.recv(1 << 20)
+            if not answers:
+                raise ConnectionResetError
+            counts["answers"] += answers.count(b"HTTP/1.1 ")
+        if writable:
+            connection.send(batch)
+
+
+def requests_ahead(targets: Listeners, seconds: float) -> Counts:
+    """16 clients that always have a thousand requests for the state under way: fewer bytes than end one."""
+    counts: Counts = Counter()
+    request = f"GET /state HTTP/1.1\r\nHost: {targets.rest[0]}\r\n\r\n".encode()
+    until_s = time.monotonic() + seconds
+    with _connections(targets.rest, 16, counts) as opened, selectors.DefaultSelector() as selector:
+        for connection in opened:
+            connection.sendall(request * 1000)
+            selector.register(connection, selectors.EVENT_READ)
+        while time.monotonic() < until_s and selector.get_map():
+            for key, _ in selector.select(0.1):
+                connection = key.fileobj  # type: ignore[assignment]
+                said = connection.recv(262_144)
+                answers = said.count(b"HTTP/1.1 ")
+                counts["answers"] += answers
+                if said:
+                    connection.sendall(request * answers)
+                else:
+                    selector.unregister(connection)
+                    counts["closed"] += 1
+    return counts
+
+
 def fieldbus_unread(targets: Listeners, seconds: float) -> Counts:
     """One fieldbus connection that sends reads without a pause and never reads an answer."""
     counts: Counts = Counter()
@@ -297,6 +350,7 @@ ATTACKS: dict[str, Attack] = {
             fieldbus_unread, fieldbus_at_full_speed, half_frames_to_fieldbus, idle_fieldbus_connections,
             noise_to_camera, datagrams_of_strangers,
             followers, half_requests_to_rest, large_bodies_to_rest, chunked_bodies_to_rest, pollers_of_state,
+            pipelined_requests, requests_ahead,
         )
     },
 }  # fmt: skip

@@ -183,3 +183,17 @@ def test_a_stop_that_comes_last_is_begun_first(api: Api) -> None:
             assert one_answer(sock).startswith(b"HTTP/1.1 200")
     assert len(api.begun) == count + 1
     assert api.begun.index("stop") < count // 10
+
+
+def test_a_client_that_does_not_wait_for_answers_is_ended_and_one_that_is_ahead_a_little_served(
+    api: Api,
+) -> None:
+    """h11 keeps without a bound what comes before its turn: 1 GB in 8 s, and the link is lost."""
+    with api.connect() as sock:
+        sock.sendall(GET * 200 + GET.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n"))
+        assert whole(sock).count(b"HTTP/1.1 200") == 201
+    api.begun.clear()
+    with api.connect() as sock, contextlib.suppress(ConnectionError):
+        sock.sendall(GET * 100_000)
+    assert len(api.begun) < 10_000
+    assert api.refused == {"refused.too_far_ahead": 1}

@@ -14,6 +14,7 @@ import pytest
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Finished
 from laboratory.experiments.robustness.attacks import (
+    GROWTH_MB,
     NONE,
     STOP_P99_MS,
     AttackRow,
@@ -116,11 +117,13 @@ def test_half_a_request_is_held_on_every_connection(attack: str, count: int) -> 
 
 
 @pytest.mark.realtime  # so many within a fraction of a second
-@pytest.mark.parametrize("attack", ["pollers-of-kinds", "pollers-of-state"])
+@pytest.mark.parametrize(
+    "attack", ["pollers-of-kinds", "pollers-of-state", "pipelined-requests", "requests-ahead"]
+)
 def test_pollers_count_answers_by_status(attack: str) -> None:
     with listening(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n") as listener:
         counts = _counts(attack, listener)
-    assert counts["200"] > 10
+    assert counts["200"] + counts["answers"] > 10
 
 
 def test_the_fieldbus_client_that_never_reads_notices_back_pressure() -> None:
@@ -145,7 +148,7 @@ def test_datagrams_of_strangers_are_hellos_and_noise() -> None:
 
 
 def _row(**changes: Any) -> AttackRow:
-    sound = AttackRow("followers", "succeeded", 3, 0, [5.0, 6.0, 7.0], 3000, 0, 0, {"503": 936}, "")
+    sound = AttackRow("followers", "succeeded", 3, 0, [5.0, 6.0, 7.0], 3000, 0, 0, 0, 5.0, {"503": 936}, "")
     return sound._replace(**changes)
 
 
@@ -158,11 +161,17 @@ def test_the_one_in_peace_is_always_among_the_tasks() -> None:
     done = _done()
     names = [task["attack"] for task in attack_tasks(done.request, AttackSettings(["followers"]))]
     assert names == [NONE, "followers"]
-    assert [t["attack"] for t in attack_tasks(done.request, AttackSettings())] == list(ATTACKS)
+    tasks = attack_tasks(done.request, AttackSettings(windows=2))
+    assert [task["attack"] for task in tasks] == [*ATTACKS, *ATTACKS]
+    assert len({task["directory"] for task in tasks}) == len(tasks)
 
 
 def test_nothing_that_happens_in_peace_is_blamed_on_an_attack() -> None:
-    rows = (_row(attack=NONE, exchange_failures=5, motion="link.link_timeout"), _row())
+    rows = (
+        _row(attack=NONE, exchange_failures=5, links_lost=1, motion="link.lost"),
+        _row(),
+        _row(links_lost=1),
+    )
     assert all(check.met for check in attack_verdict(_done(*rows)))
     assert attack_table(_done(*rows))[0].row_count == 2
 
@@ -174,6 +183,8 @@ def test_nothing_that_happens_in_peace_is_blamed_on_an_attack() -> None:
         {"stops_failed": 1},
         {"stop_ms": [STOP_P99_MS + 1.0] * 3},
         {"exchange_failures": 1},
+        {"links_lost": 1},
+        {"growth_mb": GROWTH_MB + 1.0},
         {"failure": "link.rest: gone"},
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from testbed.cli.main import app
-from testbed.reporting.console import long_command, nothing_half_made
+from testbed.reporting.console import long_command, nothing_half_made, promised
 
 SHORT = {
     "arm check", "arm draw", "arm list", "arm new", "camera check", "camera convert", "config list", "doctor",
@@ -43,8 +43,8 @@ def test_what_is_half_made_goes_and_what_was_there_stays(tmp_path: Path) -> None
     made, there = tmp_path / "made", tmp_path / "there"
     there.write_text("of somebody else")
     for target in (made, there):
-        with pytest.raises(KeyboardInterrupt), nothing_half_made(target):  # noqa: PT012  the end raises
-            target.write_text("half")
+        with pytest.raises(KeyboardInterrupt), nothing_half_made():  # noqa: PT012  the end raises
+            promised(target).write_text("half")
             raise KeyboardInterrupt
     assert not made.exists()
     assert there.exists()

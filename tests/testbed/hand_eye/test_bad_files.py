@@ -130,11 +130,6 @@ def _sample_twice(good: Document) -> Document:
     return good
 
 
-def _semicolons(good: Document) -> str:
-    names = _HEADER.split(",")
-    return "\n".join(";".join(row) for row in [names, *(["0.1"] * len(names) for _ in good["samples"])])
-
-
 _HEADER = "hand_x_m,hand_y_m,hand_z_m,hand_qw,hand_qx,hand_qy,hand_qz,camera_x_m,camera_y_m,camera_z_m"
 _REFUSED, _FAILED = "refused.hand_eye.", "measurement.hand_eye."
 _MISREAD, _SCALE, _FEW = _FAILED + "misread", _FAILED + "scale", _FAILED + "too_few_samples"
@@ -151,7 +146,6 @@ BAD_FILES = (
     BadFile("a word in a pose", _set("samples", 2, _CAMERA, 0, 3, value="x"), _REFUSED + "format", "s3"),
     BadFile("a sample twice", _sample_twice, _REFUSED + "duplicate", "the same sample twice"),
     BadFile("a camera that did not follow", _still_camera, _REFUSED + "stale_camera", "s3 and s4"),
-    BadFile("CSV with semicolons", _semicolons, _REFUSED + "format", "semicolons stand", suffix=".csv"),
     BadFile("an unknown unit", _set("length_unit", value="inch"), _REFUSED + "units", "'inch'"),
     BadFile("an unknown setup", _set("setup", value="eye-on-base"), _REFUSED + "format", "'eye-on-base'"),
     BadFile("hand in mm", _with(_HAND, _lengths(1e3)), _REFUSED + "units", "in millimetres?"),

@@ -90,6 +90,8 @@ def test_forms_of_other_programs_are_read(tmp_path: Path) -> None:
         "marked.csv": table.encode("utf-8-sig"),
         "unicode.csv": table.encode("utf-16"),
         "commas.csv": table.replace("\n", ",,\n").encode(),
+        "german.csv": as_csv(hand, camera, ";").replace(".", ",").encode(),
+        "tabs.csv": as_csv(hand, camera, "\t").encode(),
     }
     for name, data in files.items():
         (tmp_path / name).write_bytes(data)
@@ -99,12 +101,8 @@ def test_forms_of_other_programs_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [
-        (
-            "a.csv",
-            as_csv(*samples(3), ";").replace(".", ","),
-            "semicolons stand between columns, and decimal commas",
-        ),
-        ("b.csv", as_csv(*samples(3), "\t"), "tabs stand between columns: commas are wanted"),
+        ("a.csv", "hand_x_mm;hand_y_mm\n1,234;2,500", "1,234: its comma may stand before decimals or"),
+        ("b.csv", "hand_x_mm;hand_y_mm\n0,5;1.234,5", "1.234,5: its comma may stand before decimals or"),
         ("c.json", '{"A": [], "B": []}', "has A, B; a list of pose pairs or an object with"),
         ("d.yaml", "a: [", "not YAML"),
     ],

@@ -30,6 +30,14 @@ def test_a_containers_memory_is_the_least(tmp_path: Path, files: dict[str, str])
     assert "cgroup memory.max" in found.advice
 
 
+def test_what_stands_around_a_container_limits_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "_GROUPS", tmp_path)
+    pod = group(tmp_path / "pod", memory_dot_max=str(300 << 20), cpu_dot_max="150000 100000")
+    inner = group(pod / "inner", memory_dot_max=str(512 << 20), cpu_dot_max="max 100000")
+    assert limits.least_memory(inner)[:2] == (300 << 20, "the control group pod")
+    assert limits.cores_of_container(inner) == 1.5
+
+
 def test_a_limit_of_the_process_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits.resource, "getrlimit", lambda _: (1, 1))
     assert limits.least_memory(group(tmp_path, memory_dot_max="max")).whose == "this process"

@@ -83,7 +83,7 @@ def test_a_run_whose_process_has_gone_was_cut_off(tmp_path: Path) -> None:
     (directory / record.RECORD_FILE).write_text(json.dumps({k: v for k, v in facts.items() if k != "took_s"}))
     assert record.read(directory).ending == "cut off"
     (directory / record.RECORD_FILE).write_text("{ half a")
-    assert record.read(directory).ending == "no record"
+    assert record.read(directory).ending == "run.json is damaged"
 
 
 def test_what_is_not_as_shipped_is_listed_by_key(shipped_settings: Settings) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from foundation.configuration import parse_mapping
+from foundation.configuration import parse_mapping, parse_yaml
 from foundation.foreign_text import decoded
 from protocol.errors import ConfigurationError
 from vision_pc.config.camera_files import yaml_files
@@ -282,10 +282,9 @@ _StorageLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix
 def _file_storage(path: Path, text: str) -> Mapping[str, Any]:
     body = re.sub(r"^%YAML:1\.0[^\n]*\n(---[^\n]*\n)?", "", text)
     try:
-        document = yaml.load(body, Loader=_StorageLoader)  # a SafeLoader with one tag more
-    except yaml.YAMLError as error:
-        why = f"{path}: no FileStorage of OpenCV: {' '.join(str(error).split())}"
-        raise ConfigurationError("configuration.bad_calibration", why) from error
+        document = parse_yaml(body, f"{path}: no FileStorage of OpenCV", _StorageLoader)
+    except ConfigurationError as error:
+        raise ConfigurationError("configuration.bad_calibration", str(error)) from error
     if not isinstance(document, dict):
         raise ConfigurationError("configuration.bad_calibration", f"{path}: holds no names; {_WANTED}")
     return document

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ConfigurationError, FrameRefused
+from vision_pc.application.annotate import png
 from vision_pc.core.types import Image, StereoPair
 from vision_pc.shell.cameras.source import CameraSource
 
@@ -41,7 +42,7 @@ class PairRecorder:
         """Write ``pair`` to the recording."""
         names = [f"{pair.frame_id:08d}_{eye}.png" for eye in ("left", "right")]
         for name, picture in zip(names, (pair.left, pair.right), strict=True):
-            cv2.imwrite(str(self._directory / name), picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            (self._directory / name).write_bytes(png(picture))
         self._rows.writerow([pair.frame_id, pair.capture_ns, *names])
         self._table.flush()
 
