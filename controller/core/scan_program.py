@@ -65,8 +65,10 @@ def own_parts(
     Raises ConfigurationError as ``settings_from`` does, and for ADS, which it does not speak.
     """
     if config.ads.port:
-        why = f"controller.ads.port = {config.ads.port}: the controller in structured text alone shows variables"
-        raise ConfigurationError("configuration.no_ads", f"{why}: python -m controller_st, up --controller st")
+        why = (
+            "controller.ads.port: only the controller in structured text shows its variables: --controller st"
+        )
+        raise ConfigurationError("configuration.no_ads", why)
     program = ScanProgram(arm, config)
     server = ReferenceServer(
         boot_id=boot_id,
