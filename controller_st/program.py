@@ -116,21 +116,21 @@ class TextController:
         ``leaves``: ramp down and drop the enable. After the fault of a run-time check, which is returned, the
         scan is run once more to stop the arm: NUMERIC, valves off.
         """
-        told = self._in
-        told.nSensed_ns, told.fDt, told.xShutdown = sensed_ns, dt_s, leaves
-        told.xPlant, told.nRefusal = False, 0
+        given = self._in
+        given.nSensed_ns, given.fDt, given.xShutdown = sensed_ns, dt_s, leaves
+        given.xPlant, given.nRefusal = False, 0
         if isinstance(words, PlantRefusal):
-            told.nRefusal = words.code
+            given.nRefusal = words.code
         elif words is not None:
-            told.xPlant = True
+            given.xPlant = True
             self._words[:] = words
-        told.xScan = True
+        given.xScan = True
         fault = self._run([], now_ns)
         if fault is not None:
-            told.xRuntimeFault = True
+            given.xRuntimeFault = True
             if self._run([], now_ns) is not None:  # not even that: all words zero is a valid image (10.5)
                 self._valves[:] = 0
-            told.xRuntimeFault = False
+            given.xRuntimeFault = False
         return fault
 
     def _run(self, datagrams: list[Datagram], now_ns: int) -> RuntimeFault | None:
@@ -159,8 +159,8 @@ class _Packet:
 
     def put(self, data: bytes, peer: int, drawn: int) -> None:
         """Leave a datagram; of one that is too long, what tells that it is."""
-        kept = data[: len(self._data)]
-        self._data[: len(kept)] = kept
+        stored = data[: len(self._data)]
+        self._data[: len(stored)] = stored
         self._peer.value, self._random.value = peer, drawn
         self._bytes.value = min(len(data), 0xFFFF)
 

@@ -38,12 +38,12 @@ class Checker(Expressions):
         for unit in self.names.units.values():
             self._refuse_recursion(unit, ())
 
-    def _constant(self, expression: tree.Expression, want: Type, file: str) -> tree.Expression:
+    def _constant(self, expression: tree.Expression, expect: Type, file: str) -> tree.Expression:
         """An expression outside of every body."""
         before = self._unit, self._file
         self._unit, self._file = None, file
         try:
-            return self._wanted(expression, want)
+            return self._expected(expression, expect)
         finally:
             self._unit, self._file = before
 
@@ -64,11 +64,11 @@ class Checker(Expressions):
             case tree.Assignment():
                 statement.target = self._target(statement.target)
                 assert statement.target.type is not None
-                statement.value = self._wanted(statement.value, statement.target.type)
+                statement.value = self._expected(statement.value, statement.target.type)
             case tree.CallStatement():
                 self._call(statement.call, as_statement=True)
             case tree.If():
-                statement.branches = [(self._wanted(c, BOOL), body) for c, body in statement.branches]
+                statement.branches = [(self._expected(c, BOOL), body) for c, body in statement.branches]
                 for _, body in statement.branches:
                     self._body(body)
                 self._body(statement.otherwise)
@@ -77,7 +77,7 @@ class Checker(Expressions):
             case tree.For():
                 self._for(statement)
             case tree.While():
-                statement.condition = self._wanted(statement.condition, BOOL)
+                statement.condition = self._expected(statement.condition, BOOL)
                 self._loop(statement.body)
             case tree.Jump(word=word) if word != "RETURN" and not self._loops:
                 self._refuse(statement.line, "syntax", f"{word} stands in no loop")
@@ -93,14 +93,14 @@ class Checker(Expressions):
         whole = isinstance(kind, Elementary) and kind.kind in (SIGNED, UNSIGNED)
         if kind is None or not (whole or isinstance(kind, Enumeration)):
             self._refuse(
-                statement.line, "type", f"CASE of {name_of(kind)}: wanted a whole number or an enumeration"
+                statement.line, "type", f"CASE of {name_of(kind)}: expected a whole number or an enumeration"
             )
         taken: list[tuple[int, int]] = []
         for labels, body in statement.branches:
             ranges = []
             for low, high in labels:
                 place = Place(self._file, low.line)
-                pair = tuple(value_of(self._wanted(e, kind), place) for e in (low, high))
+                pair = tuple(value_of(self._expected(e, kind), place) for e in (low, high))
                 if any(pair[0] <= b and a <= pair[1] for a, b in taken):
                     place.refuse("value", f"the label {pair[0]} stands twice in one CASE")
                 ranges.append((pair[0], pair[1]))
@@ -118,12 +118,12 @@ class Checker(Expressions):
             isinstance(kind, Elementary) and kind.kind in (SIGNED, UNSIGNED) and variable.section == "VAR"
         ):
             self._refuse(
-                statement.line, "type", f"FOR counts with {variable.name}: wanted a whole number of VAR"
+                statement.line, "type", f"FOR counts with {variable.name}: expected a whole number of VAR"
             )
-        statement.first = self._wanted(statement.first, kind)
-        statement.last = self._wanted(statement.last, kind)
+        statement.first = self._expected(statement.first, kind)
+        statement.last = self._expected(statement.last, kind)
         if statement.step is not None:
-            step = self._wanted(statement.step, DINT)
+            step = self._expected(statement.step, DINT)
             statement.by = value_of(step, Place(self._file, statement.line))
             if statement.by == 0:
                 self._refuse(statement.line, "value", "FOR goes on BY 0")

@@ -38,7 +38,7 @@ def value_of(expression: tree.Expression, place: Place) -> Any:
                 abs(left) // abs(right) * (1 if (left < 0) == (right < 0) else -1) if whole else left / right
             )
         return {"+": left + right, "-": left - right, "*": left * right}[expression.sign]
-    return place.refuse("value", "wanted a constant")
+    return place.refuse("value", "expected a constant")
 
 
 class Declarations:
@@ -49,7 +49,7 @@ class Declarations:
     """
 
     def __init__(self, declared: Iterable[Declaration], check: Any) -> None:
-        """``check``: checks an expression, with its wanted type, its file. Raises StructuredTextError."""
+        """``check``: checks an expression, with its expected type, its file. Raises StructuredTextError."""
         self._check = check
         self._types: dict[str, tree.TypeDeclaration] = {}
         self._resolved: dict[str, Type | None] = dict(ELEMENTARY)
@@ -176,26 +176,26 @@ class Declarations:
             return self._initial_array(value, kind, place)
         if isinstance(value, dict):
             if not isinstance(kind, Structure):
-                place.refuse("type", f"wanted {kind.name}, found the parts of a structure")
+                place.refuse("type", f"expected {kind.name}, found the parts of a structure")
             for name in value:
                 if name.upper() not in kind.fields:
                     place.refuse("name", f"{kind.name} has no {name}")
             return {n.upper(): self.initial(v, kind.fields[n.upper()].type, file) for n, v in value.items()}
         if not is_scalar(kind):
-            place.refuse("type", f"wanted the parts of {kind.name} in brackets")
+            place.refuse("type", f"expected the parts of {kind.name} in brackets")
         found = value_of(self._check(value, kind, file), place)
         return fitting(found, kind, place)
 
     def _initial_array(self, value: list[tree.Initializer], kind: Type, place: Place) -> list[Any]:
         """Elements in the order of memory; rows of a further dimension may be in brackets of their own."""
         if not isinstance(kind, Array):
-            place.refuse("type", f"wanted {kind.name}, found a list")
+            place.refuse("type", f"expected {kind.name}, found a list")
         (low, high), *inner = kind.bounds
         row: Type = Array(tuple(inner), kind.of) if inner else kind.of
         if inner and not isinstance(value[0].value, list):
             row, (low, high) = kind.of, (0, kind.length - 1)
         if len(value) != high - low + 1:
-            place.refuse("value", f"{high - low + 1} elements are wanted, {len(value)} are given")
+            place.refuse("value", f"{high - low + 1} elements are expected, {len(value)} are given")
         made = [self.initial(each, row, place.file) for each in value]
         return [part for rows in made for part in rows] if inner and isinstance(made[0], list) else made
 

@@ -53,7 +53,7 @@ class Expressions:
                 )
             root = root.of
         if not isinstance(root, tree.Name) or root.variable is None:
-            self._refuse(found.line, "type", "wanted a variable")
+            self._refuse(found.line, "type", "expected a variable")
         variable = root.variable
         if variable.constant is not None:
             self._refuse(found.line, "type", f"{variable.name} is a constant")
@@ -114,12 +114,12 @@ class Expressions:
             self._refuse(expression.line, "type", f"{name_of(of)} has no elements")
         if len(expression.indices) != len(of.bounds):
             count = len(expression.indices)
-            self._refuse(expression.line, "type", f"{len(of.bounds)} indices are wanted, {count} are given")
+            self._refuse(expression.line, "type", f"{len(of.bounds)} indices are expected, {count} are given")
         expression.indices = [self._expression(index) for index in expression.indices]
         for index, (low, high) in zip(expression.indices, of.bounds, strict=True):
             kind = index.type
             if not (isinstance(kind, Elementary) and kind.kind in (SIGNED, UNSIGNED)):
-                self._refuse(expression.line, "type", f"an index of {name_of(kind)}: wanted a whole number")
+                self._refuse(expression.line, "type", f"an index of {name_of(kind)}: expected a whole number")
             if isinstance(index, tree.Literal) and not low <= index.value <= high:
                 self._refuse(expression.line, "value", f"index {index.value} is outside {low}..{high}")
         expression.type = of.of
@@ -127,20 +127,20 @@ class Expressions:
 
     # expressions
 
-    def _wanted(self, expression: tree.Expression, want: Type) -> tree.Expression:
-        """``expression`` of the type ``want`` and no other."""
-        found = self._expression(expression, want)
-        if found.type != want:
-            self._refuse(found.line, "type", f"wanted {want.name}, found {name_of(found.type)}")
+    def _expected(self, expression: tree.Expression, expect: Type) -> tree.Expression:
+        """``expression`` of the type ``expect`` and no other."""
+        found = self._expression(expression, expect)
+        if found.type != expect:
+            self._refuse(found.line, "type", f"expected {expect.name}, found {name_of(found.type)}")
         return found
 
-    def _expression(self, expression: tree.Expression, want: Type | None = None) -> tree.Expression:
-        """``expression`` with its type; ``want`` decides for numbers without one."""
+    def _expression(self, expression: tree.Expression, expect: Type | None = None) -> tree.Expression:
+        """``expression`` with its type; ``expect`` decides for numbers without one."""
         if expression.type is not None:
             return expression
         match expression:
             case tree.Literal():
-                return self._literal(expression, want)
+                return self._literal(expression, expect)
             case tree.Name():
                 return self._name(expression)
             case tree.Member():
@@ -148,21 +148,21 @@ class Expressions:
             case tree.Index():
                 return self._index(expression)
             case tree.Unary():
-                return self._unary(expression, want)
+                return self._unary(expression, expect)
             case tree.Binary():
-                return self._binary(expression, want)
+                return self._binary(expression, expect)
         assert isinstance(expression, tree.Call)
-        return self._call(expression, want=want)
+        return self._call(expression, expect=expect)
 
-    def _literal(self, expression: tree.Literal, want: Type | None) -> tree.Expression:
+    def _literal(self, expression: tree.Literal, expect: Type | None) -> tree.Expression:
         kind: Type
         if expression.named is not None:
             kind = expression.named
         elif isinstance(expression.value, float):
-            kind = want if isinstance(want, Elementary) and want.kind == FLOAT else LREAL
+            kind = expect if isinstance(expect, Elementary) and expect.kind == FLOAT else LREAL
         else:
-            whole = isinstance(want, Elementary) and want.kind in (SIGNED, UNSIGNED, BITS)
-            kind = want if whole and want is not None else DINT
+            whole = isinstance(expect, Elementary) and expect.kind in (SIGNED, UNSIGNED, BITS)
+            kind = expect if whole and expect is not None else DINT
         expression.type = kind
         fits_float = isinstance(expression.value, float) == (
             isinstance(kind, Elementary) and kind.kind == FLOAT
@@ -172,8 +172,8 @@ class Expressions:
         fitting(expression.value, kind, Place(self._file, expression.line))
         return expression
 
-    def _unary(self, expression: tree.Unary, want: Type | None) -> tree.Expression:
-        expression.operand = self._expression(expression.operand, want)
+    def _unary(self, expression: tree.Unary, expect: Type | None) -> tree.Expression:
+        expression.operand = self._expression(expression.operand, expect)
         kind = expression.operand.type
         of = kind.kind if isinstance(kind, Elementary) else ""
         if of not in ((SIGNED, FLOAT) if expression.sign == "-" else (BOOL_KIND, BITS)):
@@ -181,20 +181,20 @@ class Expressions:
         expression.type = kind
         return expression
 
-    def _binary(self, expression: tree.Binary, want: Type | None) -> tree.Expression:
+    def _binary(self, expression: tree.Binary, expect: Type | None) -> tree.Expression:
         sign = expression.sign
         compares = sign in ("=", "<>", "<", ">", "<=", ">=")
-        want = None if compares else want
+        expect = None if compares else expect
         if _is_open(expression.left) and not _is_open(expression.right):
-            expression.right = self._expression(expression.right, want)
+            expression.right = self._expression(expression.right, expect)
             expression.left = self._expression(expression.left, expression.right.type)
         else:
-            expression.left = self._expression(expression.left, want)
+            expression.left = self._expression(expression.left, expect)
             expression.right = self._expression(expression.right, expression.left.type)
         left, right = expression.left.type, expression.right.type
         if left != right or left is None:
             self._refuse(
-                expression.line, "type", f"{name_of(left)} {sign} {name_of(right)}: wanted two of one type"
+                expression.line, "type", f"{name_of(left)} {sign} {name_of(right)}: expected two of one type"
             )
         kind = left.kind if isinstance(left, Elementary) else "enumeration" if is_scalar(left) else ""
         if compares:
@@ -211,7 +211,7 @@ class Expressions:
     # calls
 
     def _call(
-        self, call: tree.Call, *, as_statement: bool = False, want: Type | None = None
+        self, call: tree.Call, *, as_statement: bool = False, expect: Type | None = None
     ) -> tree.Expression:
         word = call.of.name.upper() if isinstance(call.of, tree.Name) else ""
         own = self._unit.variables.get(word) if self._unit else None
@@ -222,7 +222,7 @@ class Expressions:
                 self._refuse(call.line, "type", f"{call.unit.name} is called through an instance")
             self.names.unit(call.unit)
         elif word and not local and library.is_known(word):
-            return self._library(call, word, want)
+            return self._library(call, word, expect)
         else:
             self._block(call, as_statement)
         assert call.unit is not None
@@ -277,18 +277,18 @@ class Expressions:
 
     def _argument(self, value: tree.Expression, parameter: tree.Variable) -> tree.Expression:
         if parameter.section == "VAR_INPUT":
-            return self._wanted(value, parameter.type)
+            return self._expected(value, parameter.type)
         found = self._target(value)
         if found.type != parameter.type:
-            self._refuse(found.line, "type", f"wanted {parameter.type.name}, found {name_of(found.type)}")
+            self._refuse(found.line, "type", f"expected {parameter.type.name}, found {name_of(found.type)}")
         return found
 
-    def _library(self, call: tree.Call, word: str, want: Type | None) -> tree.Expression:
+    def _library(self, call: tree.Call, word: str, expect: Type | None) -> tree.Expression:
         if any(argument.name is not None for argument in call.arguments):
             self._refuse(call.line, "syntax", f"{word} takes its arguments by place")
         values = [argument.value for argument in call.arguments]
         try:
-            own = library.wanted(word, want)
+            own = library.assumed(word, expect)
             first = next((self._expression(v, own) for v in values if not _is_open(v)), None)
             kind = own if first is None or word == "SEL" else first.type
             checked = [

@@ -47,14 +47,14 @@ def is_known(word: str) -> bool:
     return word in REAL_FUNCTIONS or word in SHIFTS or word in _COUNTS or conversion(word) is not None
 
 
-def wanted(word: str, want: Type | None) -> Type | None:
+def assumed(word: str, expect: Type | None) -> Type | None:
     """What a number without a type is taken for as an argument, where no other argument decides."""
     converts = conversion(word)
     if converts is not None:
         return converts[0]
     if word in REAL_FUNCTIONS or word == "EXPT":
         return LREAL
-    return want
+    return expect
 
 
 def argument_type(word: str, place: int, kind: Type | None) -> Type | None:

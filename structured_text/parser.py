@@ -53,8 +53,8 @@ class Parser:
     def _expect(self, word: str) -> Token:
         return self._accept(word) or self._wrong(word)
 
-    def _wrong(self, wanted: str) -> NoReturn:
-        Place(self._file, self._peek.line).refuse("syntax", f"wanted {wanted}, found {self._peek.text}")
+    def _wrong(self, expected: str) -> NoReturn:
+        Place(self._file, self._peek.line).refuse("syntax", f"expected {expected}, found {self._peek.text}")
 
     def _new_name(self) -> Token:
         """A name that is declared."""

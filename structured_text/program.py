@@ -1,6 +1,6 @@
 """Compiled texts: their functions are called from Python, their memory is read.
 
-Machine code is kept in the folder of the kernels (``foundation.compiled.cache_root``), by a hash of the
+Machine code is stored in the folder of the kernels (``foundation.compiled.cache_root``), by a hash of the
 texts, of this compiler and of LLVM's version, so that a second start does not compile.
 """
 
@@ -183,7 +183,7 @@ def _compiled(names: Declarations, machine: Any, finite: bool) -> bytes:
 
 
 def _place(texts: Mapping[str, str], finite: bool, triple: str) -> Path | None:
-    """Where the machine code of ``texts`` is kept; None where there is no such folder."""
+    """Where the machine code of ``texts`` is stored; None where there is no such folder."""
     root = cache_root()
     if root is None:
         return None
@@ -199,12 +199,12 @@ def _read(place: Path | None) -> bytes | None:
     if place is None:
         return None
     try:
-        kept = place.read_bytes()
+        stored = place.read_bytes()
         os.utime(place)
     except OSError:
         return None
-    code = kept[_DIGEST:]
-    return code if hashlib.sha256(code).digest() == kept[:_DIGEST] else None  # LLVM crashes on a spoilt one
+    code = stored[_DIGEST:]
+    return code if hashlib.sha256(code).digest() == stored[:_DIGEST] else None  # LLVM crashes on a spoilt one
 
 
 def _write(place: Path | None, code: bytes) -> None:

@@ -56,8 +56,12 @@ def test_our_own_controller_passes_every_case_in_simulated_time() -> None:
 
 @pytest.mark.experiment
 @pytest.mark.timeout(400)
-@pytest.mark.parametrize("authenticated", [False, True], ids=["plain", "authenticated"])
-def test_our_own_controller_passes_every_case(authenticated: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("module", "authenticated"),
+    [("controller", False), ("controller", True), ("controller_st", False)],
+    ids=["plain", "authenticated", "in structured text"],
+)
+def test_our_own_controller_passes_every_case(module: str, authenticated: bool, tmp_path: Path) -> None:
     key_file = tmp_path / "link.key"
     key_file.write_text("b7" * 32)
     key_file.chmod(0o600)
@@ -72,7 +76,7 @@ def test_our_own_controller_passes_every_case(authenticated: bool, tmp_path: Pat
         )
         controller = stack.enter_context(
             service(
-                "controller",
+                module,
                 f"controller.plant_link.port={plant['modbus']['port']}",
                 "controller.reference_link.port=0",
                 "controller.reference_link.link_timeout_ms=250",

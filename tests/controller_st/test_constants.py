@@ -15,10 +15,10 @@ from tools.plc_constants import FILE, text
 
 
 def configured(*overrides: str) -> tuple[NominalArm, ControllerConfig]:
-    told = parse_overrides(overrides)
+    given = parse_overrides(overrides)
     return (
-        load(NominalArm, CONFIGS / "arm.yaml", told.get("arm")),
-        load(ControllerConfig, CONFIGS / "controller.yaml", told.get("controller")),
+        load(NominalArm, CONFIGS / "arm.yaml", given.get("arm")),
+        load(ControllerConfig, CONFIGS / "controller.yaml", given.get("controller")),
     )
 
 

@@ -55,14 +55,14 @@ def test_a_fault_in_a_scan_stops_the_arm_and_names_its_line(broken: Callable[[st
     )
     world.connect()
     run(world.link.command(CommandCode.ENABLE))
-    told = ""
+    said = ""
     for _ in range(400):
         world.step()
         events = [e for e in world.log.events if e["event"] == "controller" and "NUMERIC" in str(e["what"])]
         if events:
-            told = str(events[0]["what"])
+            said = str(events[0]["what"])
             break
-    assert f"group.st:{line}: {why}" in told
+    assert f"group.st:{line}: {why}" in said
     for _ in range(8):  # what it left for the plant has its enable dropped, now and from now on
         assert not world.controller.valve_words[1] & CONTROL_ENABLE
         assert world.controller.valve_words[2:8] == [0] * 6

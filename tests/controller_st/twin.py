@@ -98,16 +98,16 @@ def _put(view: MemoryView, **values: Any) -> None:
         setattr(view, name, value)
 
 
-def _spools(program: CompiledProgram, one: Recorded, kept: dict[str, MemoryView]) -> npt.NDArray[np.float64]:
+def _spools(program: CompiledProgram, one: Recorded, cells: dict[str, MemoryView]) -> npt.NDArray[np.float64]:
     before, after = one.before, one.after
-    servo, tool, desired, watch = kept["servo"], kept["tool"], kept["desired"], kept["watch"]
+    servo, tool, desired, watch = cells["servo"], cells["tool"], cells["desired"], cells["watch"]
     _put(servo, aqCmd=before.servo.q_cmd, aPt1=before.filters.pt1, aLoad=before.filters.load)
     _put(tool, p=after.tool.p_BT, q=after.tool.quaternion, aJ=after.tool.J_BT)
     motion = after.motion.desired
     _put(desired, p=motion.p, v=motion.v, a=motion.a)
     _put(desired, q=motion.quaternion, omega=motion.omega, alpha=motion.alpha)
-    kept["words"].numbers[:] = one.words
-    program.call("F_LR_ReadInputs", aWords=kept["words"], stData=watch.stInputs)
+    cells["words"].numbers[:] = one.words
+    program.call("F_LR_ReadInputs", aWords=cells["words"], stData=watch.stInputs)
     _put(watch, xSeen=True, aq=after.watch.q_meas)
     whole = {"stServo": servo, "stTool": tool, "stDesired": desired, "stWatch": watch}
     assert program.call("F_LR_ServoStep", **whole, fRate=1.0, fDt=0.005).result
@@ -116,13 +116,13 @@ def _spools(program: CompiledProgram, one: Recorded, kept: dict[str, MemoryView]
 
 def worst_of(program: CompiledProgram, twin: Twin) -> float:
     """The furthest that a spool, the tool's pose or the Jacobian is off; infinite for a fault."""
-    kept = {name: program.new(of) for name, of in _TYPES.items()}
+    cells = {name: program.new(of) for name, of in _TYPES.items()}
     worst = 0.0
     try:
         for one in twin.live:
-            kept["joints"].numbers[:] = one.after.watch.q_meas
-            found = program.call("F_LR_ToolState", aq=kept["joints"]).outputs["stTool"]
-            tool, spools = one.after.tool, _spools(program, one, kept)
+            cells["joints"].numbers[:] = one.after.watch.q_meas
+            found = program.call("F_LR_ToolState", aq=cells["joints"]).outputs["stTool"]
+            tool, spools = one.after.tool, _spools(program, one, cells)
             pairs = (
                 (spools, one.after.servo.valves),
                 (found.p.numbers, tool.p_BT),

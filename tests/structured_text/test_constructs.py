@@ -241,7 +241,7 @@ n_own := n_own + 1;
 n_function := F_Counted();
 END_PROGRAM
 """
-    compiled = CompiledProgram({"kept.st": text})
+    compiled = CompiledProgram({"stored.st": text})
     for _ in range(3):
         compiled.run("PRG_Kept")
     assert compiled.memory.PRG_Kept.as_dict() == {"n_own": 3, "n_function": 7}

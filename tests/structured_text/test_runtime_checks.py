@@ -86,13 +86,13 @@ def test_machine_code_is_kept_by_text_and_made_anew_where_it_is_spoilt(
     monkeypatch.setattr("structured_text.program.cache_root", lambda: tmp_path)
     text = "PROGRAM PRG VAR n : DINT; END_VAR n := {}; END_PROGRAM"
     for value in (1, 2, 1):
-        program = CompiledProgram({"kept.st": text.format(value)})
+        program = CompiledProgram({"stored.st": text.format(value)})
         program.run("PRG")
         assert program.memory.PRG.n == value
-    kept = sorted(tmp_path.rglob("*.o"))
-    assert len(kept) == 2
-    for each in kept:
+    stored = sorted(tmp_path.rglob("*.o"))
+    assert len(stored) == 2
+    for each in stored:
         each.write_bytes(b"spoilt")
-    program = CompiledProgram({"kept.st": text.format(1)})
+    program = CompiledProgram({"stored.st": text.format(1)})
     program.run("PRG")
     assert program.memory.PRG.n == 1
