@@ -6,6 +6,7 @@ those already taken.
 """
 
 import math
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.shell.cameras.capture_times import unix_seconds
 
 _SAME_S = 1e-5  # two stamps of one moment, whatever the clock counts from: a double's step is 2e-7 s in 2026
+_W_FIRST = re.compile(r"q_?w\b.*q_?x\b")
 _RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses
 
 
@@ -49,13 +51,16 @@ class PairingOptions(NamedTuple):
 
 def load_tum(path: Path, normalise: bool = False) -> Trajectory:
     """A trajectory file: lines ``t x y z qx qy qz qw`` (s or a Unix time of any unit, m), blanks or commas
-    between, ``#`` comments.
+    between, ``#`` comments; one that names q_w before q_x (EuRoC's ground truth) gives their order.
 
     Lines are put in order of time, and of lines with the same time the first is kept. Raises RequestRefused
     naming the line.
     """
     times, poses = [], []
+    order = [7, 4, 5, 6]  # of w x y z
     for number, line in enumerate(file_text(path).splitlines(), start=1):
+        if line.startswith("#") and _W_FIRST.search(line):
+            order = [4, 5, 6, 7]
         content = line.split("#", 1)[0].replace(",", " ").split()
         if not content:
             continue
@@ -69,7 +74,7 @@ def load_tum(path: Path, normalise: bool = False) -> Trajectory:
                 "refused.hand_eye.format", f"{where}: 8 finite numbers are wanted, got {values.size}"
             )
         times.append(values[0])
-        R = rotation_of_quaternion(values[[7, 4, 5, 6]], where, normalise)
+        R = rotation_of_quaternion(values[order], where, normalise)
         poses.append(stacks.transform(R, values[1:4]))
     if len(times) < 3:
         raise RequestRefused(

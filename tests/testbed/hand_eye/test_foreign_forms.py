@@ -188,6 +188,12 @@ def test_a_recording_in_nanoseconds_is_one_in_seconds(tmp_path: Path) -> None:
     )
 
 
+def test_the_header_of_euroc_tells_that_w_comes_first(tmp_path: Path) -> None:
+    (tmp_path / "w.csv").write_text("#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n" + "0,1,2,3,0.8,0.6,0,0\n" * 3)
+    (tmp_path / "x.tum").write_text("# t x y z qx qy qz qw\n" + "0 1 2 3 0.6 0 0 0.8\n" * 3)
+    np.testing.assert_array_equal(*(load_tum(tmp_path / name).X for name in ("w.csv", "x.tum")))
+
+
 ONE_EYE = """
 image_width: 1280
 image_height: 720

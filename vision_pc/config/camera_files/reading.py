@@ -256,6 +256,10 @@ def _text(path: Path) -> str:
 def _document(path: Path, text: str) -> Mapping[str, Any]:
     if text.startswith("%YAML:1.0") or "!!opencv-matrix" in text:
         return _file_storage(path, text)
+    if "camera matrix" in text and "[image]" in text:
+        why = f"{path}: an INI of ROS camera_calibration; its ost.yaml is read, or make one with"
+        convert = "`camera_calibration_parsers convert FILE.ini FILE.yaml`"
+        raise ConfigurationError("configuration.bad_calibration", f"{why} {convert}")
     return parse_mapping(_one_document(text), str(path))
 
 
