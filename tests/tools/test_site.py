@@ -35,8 +35,9 @@ SCHEMA = {
 }
 
 
-def test_a_key_has_its_value_and_the_comments_above_and_beside() -> None:
-    assert [*configuration_keys.keys(YAML)] == [
+def test_a_key_has_its_value_and_the_comments_above_and_beside(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(YAML, encoding="utf-8")
+    assert [*configuration_keys.keys(tmp_path / "a.yaml")] == [
         ("gain", "2.5", "[M] beside"),
         ("limits.low", "-1.0", "[D]"),
         ("limits.both", "[1.0, 2.0]", "a list"),
@@ -59,8 +60,7 @@ def test_keys_that_the_file_leaves_out_are_there_with_what_they_then_are() -> No
 def test_every_shipped_key_is_known_to_its_model() -> None:
     for name, model in MODELS.items():
         schema = model.model_json_schema()
-        text = (ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")
-        written = [key.path for key in configuration_keys.keys(text)]
+        written = [key.path for key in configuration_keys.keys(ROOT / "configs" / f"{name}.yaml")]
         assert written
         assert [path for path in written if not configuration_keys.allowed(schema, path)] == []
 
