@@ -212,8 +212,8 @@ def ask_cell(peer: Peer, mode: Mode, asked: Asked, step: Transition) -> None:
     require(reason is step.reason, f"{what}: answered {reason.name}")
     after = require_mode(peer, step.mode, what)
     if reason is not Reason.ACCEPTED:
-        told = [(s.motion_id, s.fault, s.severity) for s in (before, after)]
-        require(told[0] == told[1], f"{what}: motion_id, fault and severity were {told[0]}, are {told[1]}")
+        shown = [(s.motion_id, s.fault, s.severity) for s in (before, after)]
+        require(shown[0] == shown[1], f"{what}: motion_id, fault, severity were {shown[0]}, are {shown[1]}")
 
 
 class _Over(Exception):

@@ -10,13 +10,13 @@ ROOMS = measures.rooms(measures.ROOT)
 # What the house may weigh. Lowered with every change that takes something away; raised only by a change that
 # brings a capability, by what that needs, with the reason in its commit.
 BUDGET = {
-    "lines of conformance": 10_132,
-    "lines of laboratory": 15_630,
-    "lines of product": 76_756,
-    "modules": 619,
-    "lines of source": 102_104,
-    "lines of tests": 59_302,
-    "words of pages": 46_819,
+    "lines of conformance": 10_236,
+    "lines of laboratory": 15_803,
+    "lines of product": 81_344,
+    "modules": 646,
+    "lines of source": 106_909,
+    "lines of tests": 61_397,
+    "words of pages": 47_988,
     "words of the README": 700,
     "configuration keys": 634,
     "constants of vision without a tag": 373,
