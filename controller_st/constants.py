@@ -5,6 +5,7 @@ them is refused.
 """
 
 import math
+import zlib
 from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
@@ -34,6 +35,7 @@ MODES = {
     Mode.ERROR_HELD: "GroupErrorStop",
     Mode.EMERGENCY: "GroupEmergencyStop",
 }
+_SEAL = "(* CRC of all above: "
 _HEAD = """\
 (* Longreach: what configs/arm.yaml, configs/controller.yaml and the tables of docs/protocol.md say.
    Made from them: python -m tools.plc_constants *)
@@ -76,7 +78,22 @@ def constants_text(arm: NominalArm, config: ControllerConfig) -> str:
     parts += [
         f"    {line}" for line in (*_tables(), *_link(arm, config), *_arm(settings), *_limits(settings))
     ]
-    return "\n".join([*parts, "END_VAR", ""])
+    made = "\n".join([*parts, "END_VAR", ""])
+    return made + _seal(made)
+
+
+def refuse_edited(text: str) -> None:
+    """Raise ConfigurationError for constants that were changed by hand: they are made anew at every start."""
+    made, mark, _ = text.rpartition(_SEAL)
+    if not mark or made + _seal(made) != text:
+        why = (
+            "plc/constants.st was edited, which changes nothing: it is made from arm.yaml and controller.yaml"
+        )
+        raise ConfigurationError("controller_st.edited_constants", f"{why}; change those, or use --set")
+
+
+def _seal(text: str) -> str:
+    return f"{_SEAL}{zlib.crc32(text.encode()):08X} *)\n"
 
 
 def _enumeration(name: str, values: dict[str, int], base: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from controller.config import ControllerConfig
 from controller.core.plant_watch import PlantRefusal
-from controller_st.constants import constants_text
+from controller_st.constants import constants_text, refuse_edited
 from nominal_arm.description import NominalArm
 from structured_text.errors import ProgramFaulted, RuntimeFault
 from structured_text.program import CompiledProgram
@@ -27,6 +27,8 @@ def texts(arm: NominalArm, config: ControllerConfig) -> dict[str, str]:
     """
     folders = [_SHIPPED] if _SHIPPED.is_dir() else [_CHECKOUT / "docs" / "protocol", _CHECKOUT / "plc"]
     found = {p.name: p.read_text(encoding="utf-8") for f in folders for p in sorted(f.glob("*.st"))}
+    if "constants.st" in found:
+        refuse_edited(found["constants.st"])
     return found | {"constants.st": constants_text(arm, config)}
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from controller.config import ControllerConfig
-from controller_st.constants import constants_text
+from controller_st.constants import constants_text, refuse_edited
 from controller_st.program import texts
 from foundation.configuration import load, parse_overrides
 from nominal_arm.description import NominalArm
@@ -54,3 +54,12 @@ def test_what_the_program_has_no_part_for_is_refused_by_its_key(override: str) -
 def test_every_type_of_the_program_lies_as_ctypes_lays_it_out() -> None:
     program = CompiledProgram(texts(*configured()))
     assert sum(check_offsets(of) for of in program.types.values()) > 500
+
+
+def test_constants_that_were_edited_are_refused_and_not_ignored() -> None:
+    shipped = FILE.read_text(encoding="utf-8")
+    refuse_edited(shipped)
+    for edited in (shipped.replace("5.0", "6.0", 1), shipped[: shipped.rindex("(*")], shipped + "\n"):
+        with pytest.raises(ConfigurationError, match=r"was edited.*--set") as caught:
+            refuse_edited(edited)
+        assert caught.value.cause == "controller_st.edited_constants"

@@ -214,6 +214,7 @@ _OF_CAUSE = {
     "request.duplicate_member": "Name each member once.",
     "request.invalid": "Mend the member that is named; /docs has the schema.",
     "request.not_found": "See /docs for the paths.",
+    "request.no_viewer": "Connect a viewer of WebSockets, such as Foxglove, to this port.",
     "request.repeated_header": "Send that header once.",
     "request.too_large": "Send a smaller body.",
     "request.too_slow": "Send the whole request within the time that is named.",
