@@ -57,7 +57,7 @@ class AdsPort:
                 self._end(connection, broken.cause, str(broken))
             except OSError as error:
                 self._end(connection, "ads.connection_lost", str(error.strerror))
-        self._connections.append(self._connections.pop(0)) if self._connections else None
+        self._connections = self._connections[1:] + self._connections[:1]  # another is first next time
 
     def close(self) -> None:
         """End all connections and stop listening."""

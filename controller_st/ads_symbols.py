@@ -17,6 +17,7 @@ _CODES = {  # ADST_…: of the struct module's codes
     "h": 2, "i": 3, "f": 4, "d": 5, "b": 16, "B": 17, "H": 18, "I": 19, "q": 20, "Q": 21, "?": 33,
 }  # fmt: skip
 _BIG = 65
+_LONGEST_NAME = 255  # characters; Python reads no number of thousands of digits
 _STEP = re.compile(r"\.?([A-Za-z_]\w*)|\[\s*(-?\d+(?:\s*,\s*-?\d+)*)\s*\]")
 
 
@@ -59,6 +60,8 @@ class SymbolTable:
     def find(self, name: str) -> Symbol | None:
         """The variable, part or element ``name``, in any case of letters; None: there is none."""
         key = name.strip().upper()
+        if len(key) > _LONGEST_NAME:
+            return None
         if key not in self._found:
             found = self._walk(key)
             if found is None:

@@ -75,7 +75,16 @@ def test_a_variable_is_read_by_handle_and_by_place_until_it_is_released() -> Non
 
 
 @pytest.mark.parametrize(
-    "name", ["MAIN.nothing", "MAIN.stPart.aGrid[3,1]", "MAIN.afSix[0,0]", "MAIN..xOn", "", "MAIN.xOn["]
+    "name",
+    [
+        "MAIN.nothing",
+        "MAIN.stPart.aGrid[3,1]",
+        "MAIN.afSix[0,0]",
+        "MAIN..xOn",
+        "",
+        "MAIN.xOn[",
+        f"MAIN.afSix[{'1' * 5000}]",
+    ],
 )
 def test_an_unknown_name_is_no_symbol(name: str) -> None:
     asked = Asked()
