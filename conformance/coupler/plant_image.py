@@ -18,6 +18,7 @@ from conformance.master import (
     READ_INPUT,
     Master,
     exchange_request,
+    read_request,
     word_request,
     write_request,
 )
@@ -38,6 +39,8 @@ LAST = OUTPUTS + OUTPUT_WORDS - 1
 RESERVED = next(row for row in INPUT_TABLE if row.reserved)
 ECHO_WORD = next(row.address for row in INPUT_TABLE if row.name == "echo_cycle")
 MOTION_WATCHDOG_MS = 100
+SAME_CYCLE_TRIES = 100
+MOST_APART = 200  # plant cycles between two requests of one piece
 # The plant may take as long to show in its inputs what it was told: a few of its cycles.
 SHOWN_MS = 50.0
 IMPOSSIBLE = 0x8000
@@ -90,6 +93,59 @@ def whole_inputs(master: Master) -> None:
             words = master.words(INPUTS, INPUT_WORDS, function)
             require(words[0] == words[-1], f"with {function}: cycle {words[0]} first, {words[-1]} last")
             wait(7)
+
+
+def together(master: Master, requests: list[bytes]) -> list[list[int]]:
+    """The whole inputs that each of ``requests`` reads; all are sent in one piece."""
+    master.send_raw(b"".join(master.frame(pdu) for pdu in requests))
+    read = []
+    for pdu in requests:
+        answer = master.receive()
+        whole = answer is not None and len(answer[2]) == 2 + 2 * INPUT_WORDS and answer[2][0] == pdu[0]
+        require(whole, f"function code {pdu[0]} was not answered with {INPUT_WORDS} words")
+        assert answer is not None
+        read.append(list(struct.unpack(f">{INPUT_WORDS}H", answer[2][2:])))
+    return read
+
+
+@case(924, "3.1", "inputs of one plant cycle are the same words with 3, 4 and 23", motion=True)
+def alike_inputs(master: Master) -> None:
+    this_plant(master)
+    requests = [
+        read_request(READ_HOLDING, INPUTS, INPUT_WORDS),
+        read_request(READ_INPUT, INPUTS, INPUT_WORDS),
+        exchange_request(INPUTS, INPUT_WORDS, OUTPUTS, image(1)),
+    ]
+    echo_and_status = (ECHO_WORD, STATUS_WORD)  # the exchange's own image may act in between
+    for pair in (requests[:2], requests[1:]):
+        for _ in range(SAME_CYCLE_TRIES):
+            one, other = together(master, pair)
+            apart = (other[0] - one[0]) % 0x10000
+            require(apart < MOST_APART, f"cycle {one[0]} with {pair[0][0]}, {other[0]} with {pair[1][0]}")
+            if one[0] == other[0]:
+                differ = [at for at, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
+                differ = [at for at in differ if at not in echo_and_status]
+                require(not differ, f"with {pair[0][0]} and {pair[1][0]} the words {differ} differ")
+                break
+        else:
+            raise Unsupported("no two requests in one piece were answered within one plant cycle")
+
+
+@case(925, "10.6", "inputs are of the moment of the request, not of the one before", motion=True)
+def inputs_of_the_moment(master: Master) -> None:
+    this_plant(master)
+    for pdu in (
+        read_request(READ_HOLDING, INPUTS, INPUT_WORDS),
+        read_request(READ_INPUT, INPUTS, INPUT_WORDS),
+        exchange_request(INPUTS, INPUT_WORDS, OUTPUTS, image(1)),
+    ):
+        ((begun, *_),) = together(master, [pdu])
+        wait(100)
+        (first, *_), (second, *_) = together(master, [pdu, pdu])
+        late, passed = (second - first) % 0x10000, (second - begun) % 0x10000
+        require(
+            2 * late < passed, f"with {pdu[0]}: {late} of {passed} cycles, 100 ms, behind the next request"
+        )
 
 
 @case(923, "10.5", "all registers zero is a valid image, and acts", motion=True)

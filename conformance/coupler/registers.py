@@ -174,10 +174,15 @@ def blocks_of(addresses: list[int]) -> list[range]:
 
 
 def plant_words(master: Master) -> list[int]:
-    """The inputs with the digital ones behind them; raises Unsupported for another plant's."""
+    """The inputs with the digital ones behind them; raises Unsupported for another plant's.
+
+    Raises Failed where the two functions that read them disagree on which plant's they are.
+    """
     if input_words(master) < INPUT_WORDS:
         raise Unsupported("inputs of another plant")
     words = master.words(INPUTS, input_words(master))
+    layouts = words[1], master.words(INPUTS + 1, 1, READ_INPUT)[0]
+    require(layouts[0] == layouts[1], f"layout {layouts[0]:#06x} with 3, {layouts[1]:#06x} with 4")
     if words[1] != INPUT_LAYOUT:
         raise Unsupported("inputs of another plant")
     return words

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Iterable
+from itertools import product
 
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
 from conformance.reference.motion import (
@@ -17,7 +19,8 @@ from conformance.reference.motion import (
     require_reason,
     standby,
 )
-from conformance.wire import MS, require
+from conformance.wire import MS, Unsupported, require
+from protocol.axes_group import ANSWERS, Asked, Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
@@ -214,6 +217,18 @@ def overtaken_by_a_stop(peer: Peer) -> None:
             require(said, f"OVERTAKEN says {answer.value:g} and {answer.limit:g}")
 
 
+_AT_REST = (Asked.DISABLE, Asked.STOP, Asked.RESET, Asked.EMERGENCY_STOP, Asked.EMERGENCY_RELEASE)
+_STOPS = (Asked.DISABLE, Asked.STOP, Asked.EMERGENCY_STOP)
+_DONE = (Reason.ACCEPTED, Reason.ALREADY_DONE)
+_TO_DISABLED = (CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE, CommandCode.RESET)
+_FROM_DISABLED: dict[Mode, tuple[CommandCode, ...]] = {
+    Mode.DISABLED: (),
+    Mode.STANDBY: (CommandCode.ENABLE,),
+    Mode.ERROR_HELD: (CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE),
+    Mode.EMERGENCY: (CommandCode.EMERGENCY_STOP,),
+}
+
+
 def _burst(peer: Peer, *requests: tuple[Message, int]) -> None:
     """Messages, each in its session, within the time of a datagram: in one scan, but for a few."""
     for data in [peer.encoded(message, session=session) for message, session in requests]:
@@ -235,14 +250,50 @@ def stop_and_end(peer: Peer) -> None:
         require(latched, f"EMERGENCY_STOP was forgotten at {end}")
 
 
-@case(424, "6.13", "what comes after a stop in one scan is judged on its own merits")
-def after_a_stop(peer: Peer) -> None:
+def _to_mode(peer: Peer, mode: Mode) -> None:
+    """From wherever the group is at rest, by commands that move nothing; STANDBY only with an ENABLE."""
+    for code in (*_TO_DISABLED, *_FROM_DISABLED[mode]):
+        reason = peer.command(code)
+        if code is CommandCode.ENABLE and reason is Reason.PLANT_NOT_READY:
+            raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
+        require(reason in _DONE, f"{code.name} on the way to {mode.name}: {reason.name}")
+
+
+def _judge_pair(peer: Peer, mode: Mode, first: Asked, second: Asked) -> None:
+    """Both in one burst: each is answered in the mode that the one before it leaves, or overtaken (6.13)."""
+    _to_mode(peer, mode)
+    commands = [Command(peer.new_id(), CommandCode(each)) for each in (first, second)]
+    _burst(peer, *((each, peer.session) for each in commands))
+    answers = {a.command_id: a.reason for a in peer.answers(f"{first.name} and {second.name} at once")}
+    got = tuple(answers.get(each.command_id) for each in commands)
+    one = ANSWERS[mode, first]
+    allowed = [(one.reason, ANSWERS[one.mode, second].reason)]
+    if second in _STOPS and first not in _STOPS:
+        allowed.append((Reason.OVERTAKEN, ANSWERS[mode, second].reason))
+    names = ", ".join("none" if each is None else each.name for each in got)
+    require(got in allowed, f"{first.name} and {second.name} at once in {mode.name}: {names}")
+
+
+@case(424, "6.13", "of two commands in one burst each is judged, in the mode that the one before it leaves")
+def two_commands(peer: Peer) -> None:
     disabled(peer)
-    for code in (CommandCode.STOP, CommandCode.DISABLE) * 4:
-        stop, after = Command(peer.new_id(), code), Command(peer.new_id(), CommandCode.RESET)
-        _burst(peer, (stop, peer.session), (after, peer.session))
-        answer = peer.answer_to(after.command_id, f"RESET behind {code.name}")
-        require(answer.reason is Reason.NOT_IN_ERROR, f"RESET behind {code.name}: {answer.reason.name}")
+    for mode in (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY):
+        asked = _AT_REST if mode is Mode.DISABLED else (Asked.ENABLE, *_AT_REST)
+        for first, second in product(asked, repeat=2):
+            _judge_pair(peer, mode, first, second)
+    _to_mode(peer, Mode.DISABLED)
+
+
+@case(
+    426, "6.13", "of two commands in one burst each is judged, ENABLE among them and in STANDBY", motion=True
+)
+def two_commands_in_standby(peer: Peer) -> None:
+    standby(peer)
+    for mode in (Mode.DISABLED, Mode.STANDBY):
+        for first, second in product((Asked.ENABLE, *_AT_REST), repeat=2):
+            if mode is Mode.STANDBY or Asked.ENABLE in (first, second):
+                _judge_pair(peer, mode, first, second)
+    _to_mode(peer, Mode.DISABLED)
 
 
 @case(425, "6.13", "of a reference and STOP in one scan nothing moves; ENABLE behind them is judged",

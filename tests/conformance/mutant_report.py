@@ -37,6 +37,7 @@ SLOW = {327, 328}
 SOURCES: tuple[str, ...] = (
     "tests.conformance.named_edits",
     "tests.conformance.named_hooks",
+    "tests.conformance.systematic_pairs",
     "tests.conformance.systematic_table",
     "tests.conformance.systematic_fields",
     "tests.conformance.systematic_checks",

@@ -60,6 +60,7 @@ class PageCoupler:
         self.outputs = [0] * OUTPUTS[1]
         self.counts = {"requests": 0, "frames": 0, "exceptions": 0}
         self._names = 0
+        self._shown = [0] * INPUTS[1]
 
     # what connections tell
 
@@ -186,12 +187,13 @@ class PageCoupler:
         self.watchdog.carried_out(master, request.kind, now_ns)
         if function == 8:
             return self._diagnosed(request.pdu)
-        before = self._read(request, now_ns) if request.reads else b""
+        reads_first = request.reads and not self.rules.writes_first
+        before = self._read(request, now_ns) if reads_first else b""
         if request.writes:
             self._write(request, master, now_ns)
         if not request.reads:
             return self.rules.short_answer(request.pdu)
-        data = self._read(request, now_ns) if self.rules.writes_first else before
+        data = before if reads_first else self._read(request, now_ns)
         return bytes([function, len(data)]) + data
 
     def _after(self, request: Request) -> list[int]:
@@ -256,7 +258,10 @@ class PageCoupler:
             fill = self.rules.fills_with.get(request.function, 0)
             return (bits & mask | fill & ~mask).to_bytes(8, "little")[:size]
         if address < OUTPUTS[0]:
-            words = self._inputs(now_ns)[address - INPUTS[0] :]
+            now = self._inputs(now_ns)
+            before, self._shown = self._shown, now
+            stale = request.function in self.rules.of_the_request_before
+            words = self.rules.delivers(request.function, before if stale else now)[address - INPUTS[0] :]
         elif address < 0x1000:
             words = self.outputs[address - OUTPUTS[0] :]
         else:

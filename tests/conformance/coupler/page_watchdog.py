@@ -203,7 +203,14 @@ class PagePlant:
         cycle = now_ns // (CYCLE_MS * MS) & 0xFFFF if rules.cycles else 7
         echo = {"whole": self._echo, "written": written_cycle, "frozen": 9, "late": self._echo - 1 & 0xFFFF}
         status = 0b0001 | (rules.tripped_bit if self._tripped else 0)
-        inputs = [cycle, rules.layout, echo[rules.echo], status, *range(100, 127), *[rules.reserved] * 8]
+        inputs = [
+            cycle,
+            rules.layout,
+            echo[rules.echo],
+            status,
+            *range(0x8100, 0x811B),
+            *[rules.reserved] * 8,
+        ]
         return [*inputs, cycle ^ rules.last_word_apart]
 
     def _look(self, now_ns: int) -> None:

@@ -32,6 +32,10 @@ def _short_answer(pdu: bytes) -> bytes:
     return pdu[:5]
 
 
+def _delivered(function: int, words: list[int]) -> list[int]:
+    return words
+
+
 def _left_ms(left_ns: int, time_ms: int) -> int:
     return max(-(-left_ns // MS), 0)
 
@@ -102,6 +106,8 @@ class Rules(NamedTuple):
         16: (OUTPUTS, *OWN_WRITABLE),
         23: (OUTPUTS,),
     }
+    delivers: Callable[[int, list[int]], list[int]] = _delivered
+    of_the_request_before: frozenset[int] = frozenset()
     name: Callable[[int], bytes] = _name
     status: int = 0
     status_expired: int = 0x8000
