@@ -15,7 +15,7 @@ from plant_emulator.core.camera.cabinet import board_pose
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import ConfigurationError, LinkLost
-from testbed.reporting.console import bars, out
+from testbed.reporting.console import bars, out, promised
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
@@ -23,13 +23,14 @@ from vision_pc.core.perception.board_finder import find_board
 from vision_pc.core.perception.stereo_fit import PairView
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import StereoPair
+from vision_pc.core.types import Image, StereoPair
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.cameras.directory import TABLE, PairRecorder, read_grey, recorded_pairs
 from vision_pc.shell.cameras.picture_files import matched_pictures, pictures_in
 from vision_pc.shell.cameras.uvc import halves
 
 LIVE = "live"
+_FILM_GREY = 8.0  # [D] what compression may change in a row, grey levels
 
 
 class Taken(NamedTuple):
@@ -232,9 +233,9 @@ def run_emulate(scene: SceneConfig, board: AskedBoard | None, count: int, seed: 
     """
     pairs = marker_pairs(scene, count, seed) if board is None else board_pairs(scene, board, count, seed)
     if to.suffix.lower() == ".avi":
-        _filmed_scene(pairs, to)
+        _filmed_scene(pairs, promised(to))
     else:
-        recorder = PairRecorder(to)
+        recorder = PairRecorder(promised(to))
         for pair in pairs:
             recorder.add(pair)
         recorder.close()
@@ -252,3 +253,16 @@ def _filmed_scene(pairs: list[StereoPair], to: Path) -> None:
     for pair in pairs:
         film.write(cv2.cvtColor(np.hstack([pair.left, pair.right]), cv2.COLOR_GRAY2BGR))
     film.release()
+    _require_whole(to, len(pairs), np.hstack([pairs[-1].left, pairs[-1].right]))
+
+
+def _require_whole(film: Path, count: int, last: Image) -> None:
+    """OpenCV does not say that a disk was full: raises ConfigurationError unless the film can be read back."""
+    back = cv2.VideoCapture(str(film))
+    written, picture = 0, None
+    while back.isOpened() and (read := back.read())[0]:
+        written, picture = written + 1, read[1]
+    back.release()
+    rows_off = np.inf if picture is None else np.abs(picture[..., 0].astype(float) - last).mean(axis=1).max()
+    if written != count or rows_off > _FILM_GREY:
+        raise ConfigurationError("output.unwritable", f"{film}: not all of {count} pairs: is the disk full?")

@@ -10,7 +10,7 @@ from foundation.configuration import load, parse_overrides
 from protocol.errors import ConfigurationError
 from testbed.cli.options import OdometryOptions
 from testbed.reporting.console import bars, out, promised, table, write_json
-from testbed.reporting.trajectory_errors import TrajectoryErrors, read_tum, trajectory_errors
+from testbed.reporting.trajectory_errors import TrajectoryErrors, errors_of_maps, read_tum
 from vision_pc.application.annotate import png
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
@@ -70,11 +70,14 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
         "pairs_with_tool_pose": len(tool_at.used),
         "trajectories": [str(path) for path in files],
     }
-    if truth is not None:
-        errors = trajectory_errors(result.poses, *truth, str(request.options.truth))
-        _print_errors(errors)
-        figures["truth"] = errors._asdict()
-    write_json(json_file, figures)
+    try:
+        if truth is not None:
+            maps = {k: result.poses_of(k) for k in (0, *result.apart)}
+            errors = errors_of_maps(maps, *truth, str(request.options.truth))
+            _print_errors(errors)
+            figures["truth"] = [{"map": k, "errors": e and e._asdict()} for k, e in errors.items()]
+    finally:  # the path was found, whether the truth fits it or not
+        write_json(json_file, figures)
     return result.lost == 0 and not result.apart
 
 
@@ -160,12 +163,18 @@ def _print(result: SequenceResult, spent_ms: float, files: list[Path]) -> None:
         )
 
 
-def _print_errors(errors: TrajectoryErrors) -> None:
-    drift = "" if errors.drift_percent is None else f", drift {errors.drift_percent:.2f} %"
-    out.print(
-        f"against the truth, {errors.poses} poses over {errors.length_m:.2f} m: ATE {errors.ate_mm:.2f} mm,"
-        f" RPE {errors.rpe_mm:.2f} mm {errors.rpe_deg:.4f} deg a pair, scale {errors.scale:.4f}{drift}"
-    )
+def _print_errors(maps: dict[int, TrajectoryErrors | None]) -> None:
+    for k, errors in maps.items():
+        which = f"map {k}, " if len(maps) > 1 else ""
+        if errors is None:
+            out.print(f"against the truth, {which}fewer than three poses: not judged")
+            continue
+        drift = "" if errors.drift_percent is None else f", drift {errors.drift_percent:.2f} %"
+        out.print(
+            f"against the truth, {which}{errors.poses} poses over {errors.length_m:.2f} m: ATE"
+            f" {errors.ate_mm:.2f} mm, RPE {errors.rpe_mm:.2f} mm {errors.rpe_deg:.4f} deg a pair, scale"
+            f" {errors.scale:.4f}{drift}"
+        )
 
 
 _DICTIONARIES = get_args(MarkerSettings.model_fields["dictionary"].annotation)

@@ -18,7 +18,7 @@ from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
 from plant_emulator.core.mechanics.geometry import transform
 from plant_emulator.core.plant import Plant
-from testbed.reporting.console import bars, out, table, write_json
+from testbed.reporting.console import bars, out, promised, table, write_json
 from testbed.scenarios.scenario import load_settings
 from vision_pc.application.annotate import png
 
@@ -273,19 +273,19 @@ def draw_effects(config_dir: Path, directory: Path, json_file: Path | None) -> N
     settings = load_settings(config_dir, {})
     truth = Plant(settings.plant, 1, Scene(settings.scene).mounts).truth()
     view = CameraView(truth.X_WC, truth.X_WM)
-    directory.mkdir(parents=True, exist_ok=True)
+    promised(directory).mkdir(parents=True, exist_ok=True)
     wanted, pairs, rows = effects(settings.scene), [], []
     with bars() as shown, shown.step("rendering") as bar:
         for number, effect in enumerate(wanted, 1):
             off, on = pictured(effect, settings.scene, view)
             stem = effect.name.replace(",", "").replace(" ", "_")
             for state, picture in (("off", off), ("on", on)):
-                (directory / f"{stem}_{state}.png").write_bytes(png(picture))
+                promised(directory / f"{stem}_{state}.png").write_bytes(png(picture))
             change = np.abs(on.astype(float) - off)
             rows.append((effect.name, effect.switch, change.mean(), 100.0 * (change > 0.0).mean()))
             pairs.append(Pair(effect.name, effect.switch, off, on))
             bar.update(number / len(wanted), effect.name)
-    path = directory / "camera_effects.png"
+    path = promised(directory / "camera_effects.png")
     path.write_bytes(png(contact_sheet(pairs)))
     shown_rows = [(name, switch, f"{mean:.2f}", f"{share:.1f}") for name, switch, mean, share in rows]
     out.print(table("effects of camera and scene, off against on", _HEADINGS, shown_rows))

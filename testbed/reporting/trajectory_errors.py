@@ -2,7 +2,7 @@
 them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,6 +82,25 @@ def trajectory_errors(
         )
     estimates = np.stack([found[k].X_C0C for k in chosen])
     return _errors(estimates, true[nearest[chosen]])
+
+
+def errors_of_maps(
+    maps: Mapping[int, Sequence[OdometryPose]], times_s: Array, true: Array, name: str
+) -> dict[int, TrajectoryErrors | None]:
+    """``trajectory_errors`` of each map; None for one of which fewer than three poses fit.
+
+    Raises ConfigurationError where that is so of every map.
+    """
+    found: dict[int, TrajectoryErrors | None] = {}
+    why: ConfigurationError | None = None
+    for number, poses in maps.items():
+        try:
+            found[number] = trajectory_errors(poses, times_s, true, name)
+        except ConfigurationError as error:
+            found[number], why = None, why or error
+    if why is not None and not any(found.values()):
+        raise why
+    return found
 
 
 def _errors(estimates: Array, true: Array) -> TrajectoryErrors:

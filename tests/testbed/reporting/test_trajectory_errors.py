@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import ConfigurationError
-from testbed.reporting.trajectory_errors import read_tum, trajectory_errors
+from testbed.reporting.trajectory_errors import errors_of_maps, read_tum, trajectory_errors
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
@@ -48,6 +48,16 @@ def test_one_jump_is_one_error_from_pose_to_pose() -> None:
     errors = trajectory_errors(poses(jumped), *truth(), "truth")
     assert errors.rpe_mm == pytest.approx(1e3 * 0.5 * np.sqrt(3.0) / np.sqrt(39), rel=1e-6)
     assert errors.ate_mm > 100.0
+
+
+def test_each_map_is_judged_and_a_short_one_spoils_no_other() -> None:
+    maps = {0: poses(path())[:2], 1: poses(path())[5:]}
+    errors = errors_of_maps(maps, *truth(), "truth")
+    assert errors[0] is None
+    assert errors[1] is not None
+    assert (errors[1].poses, round(errors[1].ate_mm, 6)) == (35, 0.0)
+    with pytest.raises(ConfigurationError, match="do not overlap"):
+        errors_of_maps({0: poses(path())[:2]}, *truth(), "truth")
 
 
 def test_truth_that_does_not_fit_is_named(tmp_path: Path) -> None:

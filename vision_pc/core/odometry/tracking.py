@@ -142,7 +142,8 @@ def evened(image: Image) -> Image:
     """
     fine = image.astype(np.float32)
     fine -= _mean_around(fine)
-    fine *= _EVENED_GREY / (np.sqrt(_mean_around(fine * fine)) + _EVENED_NOISE)
+    squares = np.maximum(_mean_around(fine * fine), 0.0)  # a sliding mean of float32 leaves less than nothing
+    fine *= _EVENED_GREY / (np.sqrt(squares) + _EVENED_NOISE)
     return np.asarray(np.clip(fine + 128.0, 0.0, 255.0), dtype=np.uint8)
 
 
