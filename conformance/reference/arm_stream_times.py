@@ -30,13 +30,12 @@ FEED_MS = 10.0
 
 def followed(peer: Peer, metres: float = 0.02) -> tuple[Stream, StateWatch, Pose]:
     """A stream that is on its way up by ``metres``, a watch, and the pose that it is sent to."""
-    scene = entered(peer, Mode.STREAMING)
-    assert scene.stream is not None
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)  # before the stream: its echoes take longer than a silence may
+    stream = opened_stream(peer)
     goal = moved(scene.here, dz=metres)
-    scene.stream.feed(goal, FEED_MS)
-    watch = StateWatch(peer)
-    scene.stream.feed(goal, 150.0)
-    return scene.stream, watch, goal
+    stream.feed(goal, 150.0)
+    return stream, watch, goal
 
 
 def given(stream: Stream, pose: Pose) -> int:

@@ -45,11 +45,16 @@ def compiled(directory: Path, *flags: str, source: str | None = None) -> Path:
 
 
 class SimulatedCController:
-    """The library on the simulated network; its scans come every cycle of simulated time."""
+    """The library on the simulated network; its scans come every cycle of simulated time.
 
-    def __init__(self, library: Path, network: SimulatedNetwork) -> None:
+    It takes datagrams on arrival, or where ``in_scan`` when a scan is due, as the task of a PLC does.
+    """
+
+    def __init__(
+        self, library: Path, network: SimulatedNetwork, cycle_ns: int = CYCLE_NS, *, in_scan: bool = False
+    ) -> None:
         self._library: Any = ctypes.CDLL(str(library))
-        self._network = network
+        self._network, self._cycle_ns, self._in_scan = network, cycle_ns, in_scan
         self._socket = SimulatedSocket(network)
         self.port = self._socket.address[1]
         self.next_ns = network.now_ns
@@ -65,13 +70,14 @@ class SimulatedCController:
 
     def turn(self) -> None:
         """Read, scan if a scan is due, and send."""
-        while self._socket.inbox and self._socket.readable():
+        due = self._network.clock_ns() >= self.next_ns
+        while (due or not self._in_scan) and self._socket.inbox and self._socket.readable():
             data, (_, port) = self._socket.recvfrom(65_536)
             source = _Address(socket.AF_INET, socket.htons(port), 0x0100007F)
             self._library.controller_take(data, ctypes.c_size_t(len(data)), ctypes.byref(source))
-        if self._network.clock_ns() >= self.next_ns:
+        if due:
             self._library.controller_scan()
-            self.next_ns = max(self.next_ns + CYCLE_NS, self._network.now_ns)
+            self.next_ns = max(self.next_ns + self._cycle_ns, self._network.now_ns)
 
     def __enter__(self) -> Self:
         self._network.controllers.append(self)

@@ -10,6 +10,7 @@ from tests.conformance.c_controller import COMPILER, SOURCE, SimulatedCControlle
 from tests.conformance.simulated_network import SimulatedNetwork
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler: apt-get install gcc")
+SHIPPED_CYCLE = "CYCLE_MS = 5,"
 LIBRARY = ("-shared", "-fPIC")
 WITH_A_KEY = set(range(701, 722)) | set(range(723, 741))
 # Its arm is a portal: no first pose is too far, no joint ends at half a turn, and nothing is singular.
@@ -26,8 +27,16 @@ def not_passed(summary: Summary) -> dict[int, str]:
 
 
 @pytest.mark.slow("a compiled controller answers the whole suite")
-def test_in_simulated_time_it_passes_every_case(tmp_path: Path, network: SimulatedNetwork) -> None:
-    with SimulatedCController(compiled(tmp_path, *LIBRARY), network) as controller:
+@pytest.mark.parametrize(
+    ("cycle_ms", "in_scan"), [(5, False), (5, True), (10, True)], ids=["on arrival", "in a scan", "of 10 ms"]
+)
+def test_in_simulated_time_it_passes_every_case(
+    tmp_path: Path, network: SimulatedNetwork, cycle_ms: int, in_scan: bool
+) -> None:
+    source = SOURCE.read_text()
+    assert SHIPPED_CYCLE in source
+    library = compiled(tmp_path, *LIBRARY, source=source.replace(SHIPPED_CYCLE, f"CYCLE_MS = {cycle_ms},"))
+    with SimulatedCController(library, network, cycle_ms * 1_000_000, in_scan=in_scan) as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=UNSIGNED, motion=True)
     others = not_passed(summary)
     assert {number: why for number, why in others.items() if number not in NO_SUCH_LIMIT} == {}
