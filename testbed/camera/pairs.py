@@ -257,7 +257,7 @@ def _filmed_scene(pairs: list[StereoPair], to: Path) -> None:
 
 
 def _require_whole(film: Path, count: int, last: Image) -> None:
-    """OpenCV does not say that a disk was full: raises ConfigurationError unless the film can be read back."""
+    """Raises ConfigurationError unless the film can be read back: OpenCV says nothing of a full disk."""
     back = cv2.VideoCapture(str(film))
     written, picture = 0, None
     while back.isOpened() and (read := back.read())[0]:

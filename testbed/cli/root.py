@@ -202,6 +202,9 @@ LATER = {
         "Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C.",
         "Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02",
     ),
+    "plc": Later(
+        "testbed.cli.plc", "A PLC's variables over ADS: our controller in structured text, TwinCAT."
+    ),
     "export": Later("testbed.exports.command", "The arm as a file for other tools."),
     "picture": Later("testbed.pictures.command", "Pictures that explain."),
     "target": Later(
@@ -218,7 +221,7 @@ PANELS = {  # in the order of use
         "init", "config", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers",
         "odometry",
     ),
-    "Put to the test": ("soak", "conformance", "sniff", "proxy"),
+    "Put to the test": ("soak", "conformance", "sniff", "proxy", "plc"),
     "For other tools": ("export", "picture", "token"),
 }  # fmt: skip
 _PANEL = {name: panel for panel, names in PANELS.items() for name in names}

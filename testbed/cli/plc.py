@@ -1,0 +1,48 @@
+"""A PLC's variables over ADS: of our controller in structured text, and of TwinCAT."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from testbed.reporting.console import writable
+
+app = typer.Typer(no_args_is_help=True, help="A PLC's variables over ADS.")
+
+_EXAMPLE = (
+    "Example: longreach plc watch PRG_LR_Controller.stArm.nCycle --seconds 10 --out watch.csv"
+    "   beside: longreach up --controller st --set controller.ads.port=48898"
+)
+
+
+@app.callback()
+def plc() -> None:
+    """A PLC's variables over ADS."""
+
+
+@app.command(epilog=_EXAMPLE)
+def watch(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Variables; without any: what there is to watch.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Of the PLC's ADS router.")] = "127.0.0.1",
+    net_id: Annotated[str | None, typer.Option(help="AMS net id; HOST.1.1 where not given.")] = None,
+    port: Annotated[int, typer.Option(min=1, max=65_535, help="AMS port of the PLC's runtime.")] = 851,
+    every_ms: Annotated[float, typer.Option(min=1.0, help="Between two rows.")] = 50.0,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Until Ctrl-C where not given.")] = None,
+    find: Annotated[str, typer.Option(help="Of the list: names that hold this, in any letters.")] = "",
+    to: Annotated[Path | None, typer.Option("--out", help="A CSV: time_s, then a column a variable.")] = None,
+) -> None:
+    """Show a PLC's variables as they change, and record them; all of a row are of one moment.
+
+    Exit status 1 where the PLC goes silent. It reads and never writes. A TwinCAT of another machine needs a
+    route to this one's AMS net id.
+    """
+    from testbed.plc_watch import WatchedPlc, list_symbols, watch_values
+
+    with WatchedPlc(host, net_id or f"{host}.1.1", port) as watched:
+        if not names:
+            list_symbols(watched, find)
+        else:
+            heard = watch_values(watched, names, every_ms * 1e-3, seconds, writable(to))
+            raise typer.Exit(0 if heard else 1)
