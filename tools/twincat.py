@@ -105,7 +105,7 @@ def write(directory: Path) -> list[PlcObject]:
 
 
 def _texts() -> list[Path]:
-    return [path for folder in ("docs/protocol", "plc") for path in sorted((ROOT / folder).glob("*.st"))]
+    return [path for folder in ("docs/protocol", "plc", "plc/twincat") for path in sorted((ROOT / folder).glob("*.st"))]
 
 
 def _data(text: str) -> str:
