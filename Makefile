@@ -95,8 +95,9 @@ other-machines: $(DEV_STAMP)  ## numerical tests as four other processors comput
 coverage: $(DEV_STAMP)  ## which lines all tests run: a table, and coverage/index.html
 	$(PYTEST) --cov --cov-report=term:skip-covered --cov-report=html $(ARGS)
 
-foreign-tools:  ## Debian's mbpoll, tshark and C compiler, which some tests use (root or sudo)
+foreign-tools:  ## Debian's mbpoll, tshark, C compiler and Aravis (industrial cameras), which some tests use (root or sudo)
 	@missing=; for tool in $(FOREIGN_TOOLS); do command -v $$tool > /dev/null || missing="$$missing $$tool"; done; \
+	/sbin/ldconfig -p | grep -q libaravis-0.8.so.0 || missing="$$missing libaravis-0.8-0"; \
 	if [ -z "$$missing" ]; then echo "foreign tools: all there"; exit 0; fi; \
 	if [ "$$(id -u)" = 0 ]; then as_root=; elif command -v sudo > /dev/null; then as_root=sudo; \
 	else echo "foreign tools:$$missing absent, and neither root nor sudo to install them; their tests are skipped" >&2; exit 1; fi; \

@@ -118,6 +118,30 @@ def emulate(
     run_emulate(load_settings(config_dir, overrides).scene, asked, pairs, seed, to)
 
 
+@app.command(
+    epilog="Example: longreach camera serve --left 127.0.0.1 --right 127.0.0.2   beside: longreach up"
+)
+def serve(
+    left: Annotated[str, typer.Option(help="Address of the left eye's camera, of an interface here.")],
+    right: Annotated[str, typer.Option(help="Address of the right eye's.")],
+    host: Annotated[
+        str, typer.Option(help="Whose pictures: the plant's, or any frame stream's.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65_535)] = 47_100,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+) -> None:
+    """Show an emulated pair as two GigE Vision cameras, triggered together, until Ctrl-C.
+
+    A camera answers at UDP port 3956 of its address, so each needs one of its own: as root, in a network
+    namespace, `ip addr add 127.0.0.2/8 dev lo`. Vision then has vision.camera.source=genicam.
+    """
+    from testbed.camera.gige_server import serve_gige
+
+    stream = [f"vision.camera.stream.host={host}", f"vision.camera.stream.port={port}"]
+    serve_gige(_vision(config_dir, [*(settings or []), *stream]).camera, left, right)
+
+
 def _size(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None

@@ -59,6 +59,31 @@ class UvcSettings(StrictModel):
     gain: float | None = Field(None, ge=0.0, le=10_000.0)
 
 
+class GenicamSettings(StrictModel):
+    """Two industrial cameras, one an eye, by address or by Aravis' name. Each picture is a region of the
+    size of ``width_px`` and ``height_px``.
+
+    ``trigger``: ``free`` (each at its own pace), ``software`` (both asked at ``frame_rate_hz``), or the
+    input that a common line leads to, such as ``Line1``. ``apart_ms``: between two pictures of a pair.
+    ``clock`` of their stamps: each its ``own``, ``common`` to both (PTP, which is enabled where it is
+    offered), or this ``host``'s system time (PTP to which this machine is synchronised). ``latency_ms``: of
+    the first two, from the stamp to the first packet at the least.
+    """
+
+    left: str = "192.168.1.10"
+    right: str = "192.168.1.11"
+    trigger: str = Field("Line1", min_length=1, max_length=64)
+    frame_rate_hz: float = Field(10.0, ge=0.1, le=240.0)
+    apart_ms: float = Field(1.0, ge=0.01, le=100.0)
+    clock: Literal["own", "common", "host"] = "own"
+    latency_ms: float = Field(0.0, ge=0.0, le=500.0)
+    pixel_format: str = Field("Mono8", min_length=1, max_length=32)
+    offset_x_px: int = Field(0, ge=0, le=16_384)
+    offset_y_px: int = Field(0, ge=0, le=16_384)
+    exposure_us: float | None = Field(None, ge=1.0, le=1_000_000.0)
+    gain: float | None = Field(None, ge=0.0, le=10_000.0)
+
+
 class DirectorySettings(StrictModel):
     """A recorded directory of left/right PNG pairs with ``captures.csv``."""
 
@@ -104,11 +129,12 @@ class CameraSettings(StrictModel):
     rectified pictures' intrinsics.
     """
 
-    source: Literal["stream", "uvc", "directory"] = "stream"
+    source: Literal["stream", "uvc", "genicam", "directory"] = "stream"
     stale_ms: float = Field(ge=10.0, le=60_000.0)
     frozen_frames: int = Field(ge=0, le=1000)
     stream: StreamSettings = StreamSettings()
     uvc: UvcSettings = UvcSettings()
+    genicam: GenicamSettings = GenicamSettings()
     directory: DirectorySettings = DirectorySettings()
     width_px: int = Field(ge=64, le=8192)
     height_px: int = Field(ge=64, le=8192)

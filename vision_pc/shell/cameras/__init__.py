@@ -1,11 +1,12 @@
-"""Stereo cameras behind one interface: the emulated stream, a side-by-side UVC device, a recorded
-directory.
+"""Stereo cameras behind one interface: the emulated stream, a side-by-side UVC device, two
+industrial cameras, a recorded directory.
 """
 
 from collections.abc import Callable
 
 from vision_pc.config.camera import CameraSettings
 from vision_pc.shell.cameras.directory import DirectoryCamera
+from vision_pc.shell.cameras.genicam import GenicamCamera
 from vision_pc.shell.cameras.source import CameraSource
 from vision_pc.shell.cameras.stream import StreamCamera
 from vision_pc.shell.cameras.uvc import UvcCamera
@@ -18,6 +19,7 @@ def open_camera(settings: CameraSettings) -> CameraSource:
     kinds: dict[str, Callable[[CameraSettings], CameraSource]] = {
         "stream": StreamCamera,
         "uvc": UvcCamera,
+        "genicam": GenicamCamera,
         "directory": DirectoryCamera,
     }
     return kinds[settings.source](settings)
