@@ -105,7 +105,8 @@ def write(directory: Path) -> list[PlcObject]:
 
 
 def _texts() -> list[Path]:
-    return [path for folder in ("docs/protocol", "plc", "plc/twincat") for path in sorted((ROOT / folder).glob("*.st"))]
+    folders = [ROOT / folder for folder in ("docs/protocol", "plc", "plc/twincat")]
+    return [path for folder in folders for path in sorted(folder.glob("*.st"))]
 
 
 def _data(text: str) -> str:

@@ -14,6 +14,7 @@ from vision_pc.shell.cameras.stream import StreamClock
 
 _RETRY_S = 1.0
 _POLL_S = 0.005
+_SAME_CLOCK_NS = -50_000_000, 10_000_000_000  # [D] from a stamp to its picture; another clock is years away
 _READ_BACK = 0.02  # [D] a camera's own steps; beyond this part of what was set it is another setting
 
 
@@ -129,7 +130,7 @@ class _Eye:
             least_ns = self._clock.local_ns(raw.stamp_ns, raw.stamp_ns, raw.received_ns)
             return least_ns - self._latency_ns
         capture_ns = raw.stamp_ns + time.monotonic_ns() - time.time_ns()
-        if not 0 <= raw.received_ns - capture_ns <= self._stale_ns:
+        if not _SAME_CLOCK_NS[0] <= raw.received_ns - capture_ns <= _SAME_CLOCK_NS[1]:
             apart_s = (raw.received_ns - capture_ns) / 1e9
             why = f"camera {self._device.name}: a stamp is {apart_s:.3f} s before its picture came"
             raise FrameRefused("measurement.camera.clock", f"{why}: not by our clock; see genicam.clock")
