@@ -166,7 +166,7 @@ async def live(
     await endpoint.start()
     camera = ScriptedCamera(vision.camera)
     await camera.start()
-    eyes, worker = open_eyes(camera, link, vision, log)
+    eyes, worker, _ = open_eyes(camera, link, vision, log)
     arm = LinkArm(link, vision.motion)
     boom = boom_dimensions(settings.arm)
     station = VisionApplication(arm, eyes, link, eyes, vision.programs, boom, log)

@@ -12,6 +12,7 @@ from vision_pc.application.ports import CameraStatus, EyesRecord, FrameSource, R
 from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
+from vision_pc.core.odometry.foreign_poses import PoseFeed
 from vision_pc.core.perception.look import combine
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
@@ -42,9 +43,10 @@ class CameraEyes(FrameEyes[StereoPair]):
         config: VisionConfig,
         runtime: Runtime,
         record: EyesRecord[StereoPair],
+        feed: PoseFeed | None = None,
     ) -> None:
         self.targets = TargetKeeper(config.targets)
-        sensor = AimedSensor(config, self.targets)
+        sensor = AimedSensor(config, self.targets, feed)
         carrier = TargetCarrier(self.targets, sensor, states)
         super().__init__(frames, sensor, states, config.look, runtime, record, carrier)
         self._aimed = sensor

@@ -166,6 +166,26 @@ class OdometrySettings(StrictModel):
     lever_m: float = Field(ge=0.0, le=20.0)
 
 
+class PoseFeedSettings(StrictModel):
+    """Camera poses of somebody else's SLAM, by UDP, in place of our odometry where ``source`` is ``udp``.
+
+    ``wait_ms``: for the pose of a pair that is there already. Two poses are no further apart than ``gap_ms``,
+    and no faster than ``speed_m_s`` and ``turn_rad_s``; the way is the arm's to ``scale_error``. ``std_mm``
+    and ``std_mrad``: how well a pose is believed.
+    """
+
+    source: Literal["own", "udp"] = "own"
+    host: str = "127.0.0.1"
+    port: int = Field(47200, ge=0, le=65_535)
+    wait_ms: float = Field(300.0, ge=0.0, le=5_000.0)
+    gap_ms: float = Field(250.0, ge=1.0, le=5_000.0)
+    speed_m_s: float = Field(2.0, gt=0.0, le=50.0)
+    turn_rad_s: float = Field(1.5, gt=0.0, le=50.0)
+    scale_error: float = Field(0.08, gt=0.0, le=1.0)
+    std_mm: float = Field(2.0, gt=0.0, le=1_000.0)
+    std_mrad: float = Field(2.0, gt=0.0, le=1_000.0)
+
+
 class RecordedCameraSettings(StrictModel):
     """What of a camera that nobody here knows is other than in ``odometry``: how well its pairs fit."""
 
@@ -256,6 +276,7 @@ class VisionConfig(StrictModel):
     look: LookSettings
     odometry: OdometrySettings
     recorded_odometry: RecordedCameraSettings
+    odometry_feed: PoseFeedSettings = PoseFeedSettings()
     link: LinkSettings = LinkSettings()
     motion: MotionSettings = MotionSettings()
     programs: ProgramSettings

@@ -4,16 +4,19 @@ from collections.abc import Sequence
 
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.odometry.foreign_poses import ForeignOdometry, PoseFeed
 from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.perception.camera_errors import fitted_errors
 from vision_pc.core.perception.intrinsics import as_believed, as_found
+from vision_pc.core.perception.watch import Odometry
 from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample
 
 
 class PixelSensor:
-    """Implements ``vision_pc.core.perception.watch.Sensor`` in pictures."""
+    """Implements ``vision_pc.core.perception.watch.Sensor`` in pictures; with a ``feed`` odometry is its."""
 
-    def __init__(self, config: VisionConfig) -> None:
+    def __init__(self, config: VisionConfig, feed: PoseFeed | None = None) -> None:
+        self._feed = feed
         self.camera = intrinsics.calibration(config.camera)
         self._config = config
 
@@ -21,8 +24,10 @@ class PixelSensor:
         """Tool and object of interest in this pair."""
         return look.observe(frame, as_found(self.camera, previous), self._config.markers, previous)
 
-    def odometry(self, previous: FrameObservation | None) -> StereoOdometry:
+    def odometry(self, previous: FrameObservation | None) -> Odometry[StereoPair]:
         """Odometry whose first camera frame is C0, for a camera as ``previous`` has it."""
+        if self._feed is not None:
+            return ForeignOdometry(self._feed, self._config.odometry_feed)
         return StereoOdometry(
             as_believed(self.camera, previous), self._config.odometry, self._config.markers.tool
         )

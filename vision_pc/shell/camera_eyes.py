@@ -14,6 +14,7 @@ from vision_pc.application.ports import Clock, FrameSource, Runtime, StateSource
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth
+from vision_pc.shell.pose_feed import UdpPoseFeed
 
 
 class MonotonicClock:
@@ -146,12 +147,21 @@ class OpenedEyes(NamedTuple):
 
     eyes: CameraEyes
     worker: BatchWorker
+    feed: UdpPoseFeed | None = None
+
+    def close(self) -> None:
+        """End the worker and the feed of poses."""
+        self.worker.close()
+        if self.feed is not None:
+            self.feed.close()
 
 
 def open_eyes(
     camera: FrameSource[StereoPair], states: StateSource, config: VisionConfig, log: EventLog
 ) -> OpenedEyes:
-    """Eyes on ``camera`` within the running event loop."""
+    """Eyes on ``camera`` within the running event loop. Raises ConfigurationError for a feed's taken port."""
+    feed = UdpPoseFeed(config.odometry_feed, log) if config.odometry_feed.source == "udp" else None
     clock, worker = MonotonicClock(), BatchWorker()
     runtime = Runtime(clock, worker, TaskBackground(clock))
-    return OpenedEyes(CameraEyes(camera, states, config, runtime, LookRecord(config, log, worker)), worker)
+    eyes = CameraEyes(camera, states, config, runtime, LookRecord(config, log, worker), feed)
+    return OpenedEyes(eyes, worker, feed)

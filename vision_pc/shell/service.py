@@ -136,7 +136,7 @@ class VisionService:
             await operations.close()
             await endpoint.close()
             await camera.close()
-            opened.worker.close()
+            opened.close()
             self._statistics.write()
             await self._say_stopped()
 

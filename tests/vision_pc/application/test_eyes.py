@@ -102,7 +102,7 @@ class Bench:
     def __init__(self, camera: PlayedCamera, controller: LoopbackController, link: ReferenceLink,
                  opened: OpenedEyes) -> None:  # fmt: skip
         self.camera, self.controller, self.link = camera, controller, link
-        self.eyes, self.worker = opened
+        self.eyes, self.worker, _ = opened
 
 
 @pytest.fixture

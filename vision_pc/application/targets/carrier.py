@@ -8,7 +8,8 @@ import numpy as np
 from vision_pc.application.ports import StateSource
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.odometry.foreign_poses import PoseFeed
+from vision_pc.core.perception.watch import Odometry
 from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import TargetKeeper
@@ -28,8 +29,8 @@ class AimedSensor:
     carried. Otherwise what is not seen is missing. ``measured`` counts the frames that showed it.
     """
 
-    def __init__(self, config: VisionConfig, targets: TargetKeeper) -> None:
-        self._pixels = PixelSensor(config)
+    def __init__(self, config: VisionConfig, targets: TargetKeeper, feed: PoseFeed | None = None) -> None:
+        self._pixels = PixelSensor(config, feed)
         self._config = config
         self._targets = targets
         self.camera = self._pixels.camera
@@ -58,7 +59,7 @@ class AimedSensor:
         """The pair for who measures targets in it."""
         return Sighted(pair, self.camera, observation, self._config.markers, self._config.targets)
 
-    def odometry(self, previous: FrameObservation | None) -> StereoOdometry:
+    def odometry(self, previous: FrameObservation | None) -> Odometry[StereoPair]:
         """As ``PixelSensor``."""
         return self._pixels.odometry(previous)
 
