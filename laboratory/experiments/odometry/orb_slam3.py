@@ -129,36 +129,54 @@ def answer(given: str, found: str) -> None:
     Path(found).write_bytes(pickle.dumps(follow(*pickle.loads(Path(given).read_bytes()))))
 
 
+class OrbSlam3:
+    """ORB-SLAM3 on rectified pairs, one a process: it keeps the first camera that it is told for ever."""
+
+    def __init__(self, camera: CameraCalibration, words: Path) -> None:
+        from pyorbslam3 import Sensor, Slam
+
+        K = camera.left.K
+        with tempfile.TemporaryDirectory() as directory:
+            settings = Path(directory) / "settings.yaml"
+            settings.write_text(
+                _SETTINGS.format(
+                    fx=K[0, 0],
+                    fy=K[1, 1],
+                    cx=K[0, 2],
+                    cy=K[1, 2],
+                    bf=float(camera.right.X_CE[0, 3] * K[0, 0]),
+                    width=camera.width,
+                    height=camera.height,
+                ),
+                encoding="ascii",
+            )
+            self._slam = Slam(words, settings, Sensor.STEREO)
+
+    def track(self, pair: StereoPair, time_s: float) -> OdometryPose | None:
+        """The camera's pose at ``pair``, or None where it has none."""
+        result = self._slam.track_stereo(pair.left, pair.right, time_s)
+        if not result.pose_valid:
+            return None
+        X = se3.identity()
+        X[:3] = np.asarray(result.pose_wc)[:3]
+        points = int(result.num_tracked_points)
+        return OdometryPose(pair.capture_ns, pair.frame_id, X, np.eye(6), points, 1.0, 0.0)
+
+    def shutdown(self) -> None:
+        """End its threads."""
+        self._slam.shutdown()
+
+
 def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:
     """ORB-SLAM3's poses of rectified ``pairs``, at 15 pairs a second."""
-    from pyorbslam3 import Sensor, Slam
-
-    K = camera.left.K
-    with tempfile.TemporaryDirectory() as directory:
-        settings = Path(directory) / "settings.yaml"
-        settings.write_text(
-            _SETTINGS.format(
-                fx=K[0, 0],
-                fy=K[1, 1],
-                cx=K[0, 2],
-                cy=K[1, 2],
-                bf=float(camera.right.X_CE[0, 3] * K[0, 0]),
-                width=camera.width,
-                height=camera.height,
-            ),
-            encoding="ascii",
-        )
-        slam = Slam(words, settings, Sensor.STEREO)
-        poses, spent = [], []
-        for k, pair in enumerate(pairs):
-            began = time.process_time()
-            result = slam.track_stereo(pair.left, pair.right, k / 15.0)
-            time.sleep(0.05)  # its mapping runs beside, as it would between two pairs
-            spent.append(time.process_time() - began)
-            if result.pose_valid:
-                X = se3.identity()
-                X[:3] = np.asarray(result.pose_wc)[:3]
-                points = int(result.num_tracked_points)
-                poses.append(OdometryPose(pair.capture_ns, k, X, np.eye(6), points, 1.0, 0.0))
-        slam.shutdown()
+    slam = OrbSlam3(camera, words)
+    poses, spent = [], []
+    for k, pair in enumerate(pairs):
+        began = time.process_time()
+        pose = slam.track(pair, k / 15.0)
+        time.sleep(0.05)  # its mapping runs beside, as it would between two pairs
+        spent.append(time.process_time() - began)
+        if pose is not None:
+            poses.append(pose._replace(frame_id=k))
+    slam.shutdown()
     return PeerTrack(poses, spent)
