@@ -25,7 +25,6 @@ class _ShownStream(StreamCamera):
         self._newest: StereoPair | None = None
         self._seen = [0, 0]
         self._told = ""
-        self._thread.start()
 
     def _deliver(self, pair: StereoPair, dropped: int = 0) -> None:
         self._told = ""
@@ -51,6 +50,10 @@ class _ShownStream(StreamCamera):
         since_1970_ns = time.time_ns() - time.monotonic_ns()
         return _fitted((pair.left, pair.right)[eye], width, height).tobytes(), pair.capture_ns + since_1970_ns
 
+    def begin(self) -> None:
+        """Begin to receive."""
+        self._thread.start()
+
     def end(self) -> None:
         """End the thread."""
         self._stop.set()
@@ -69,9 +72,10 @@ def serve_gige(settings: CameraSettings, left: str, right: str) -> None:
     """Show the stream that ``settings`` name at two addresses, until Ctrl-C. Raises LinkLost."""
     with ExitStack() as stack:
         stream = _ShownStream(settings)
-        stack.callback(stream.end)
         for eye, address in enumerate((left, right)):
             camera = FakeGigeCamera(address, f"LR{eye + 1:02d}", partial(stream.shown, eye))
             stack.callback(camera.close)
+        stream.begin()
+        stack.callback(stream.end)
         out.print(f"two GigE Vision cameras: left {left}, right {right}; Ctrl-C ends", highlight=False)
         threading.Event().wait()

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
@@ -82,6 +82,12 @@ class GenicamSettings(StrictModel):
     offset_y_px: int = Field(0, ge=0, le=16_384)
     exposure_us: float | None = Field(None, ge=1.0, le=1_000_000.0)
     gain: float | None = Field(None, ge=0.0, le=10_000.0)
+
+    @model_validator(mode="after")
+    def _refuse_one_camera(self) -> Self:
+        if self.left == self.right:
+            raise ValueError(f"left and right are both {self.left}: each eye is a camera of its own")
+        return self
 
 
 class DirectorySettings(StrictModel):

@@ -5,6 +5,7 @@ library with `apt-get install libaravis-0.8-0` (LGPL, loaded when a camera asks 
 """
 
 import ctypes
+import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,6 +17,7 @@ from protocol.errors import ConfigurationError, LinkLost
 _LIBRARY = "libaravis-0.8.so.0"
 _POINTER, _TEXT, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_double
 _BUFFERS = 8
+_GVCP_PORT = 3956
 _SUCCESS = 0  # ARV_BUFFER_STATUS_SUCCESS
 _CONTINUOUS = 0  # ARV_ACQUISITION_MODE_CONTINUOUS
 
@@ -199,6 +201,16 @@ class GenicamDevice:
             raise LinkLost(error.cause, f"camera {self.name}: {error}") from error
 
 
+def _refuse_taken(address: str) -> None:
+    """Aravis shares its port with whoever has it: two cameras would answer in turn."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
+        try:
+            tried.bind((address, _GVCP_PORT))
+        except OSError as error:
+            why = f"{address}, UDP port {_GVCP_PORT}: {error.strerror or error}"
+            raise LinkLost("link.address_taken", why) from error
+
+
 Fill = Callable[[int, int], tuple[bytes, int]]
 """Width and height → the pixels (grey, 8 bits) and their capture time on the camera's clock (ns)."""
 _FILL = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
@@ -212,11 +224,11 @@ class FakeGigeCamera:
 
     def __init__(self, address: str, serial: str, fill: Fill) -> None:
         self._arv = aravis()
+        _refuse_taken(address)
         self._camera = self._arv.call("gv_fake_camera_new", address.encode(), serial.encode())
         if not self._camera or not self._arv.call("gv_fake_camera_is_running", self._camera):
             self._arv.release(self._camera)
-            why = f"{address}: no address of a network interface here, or another camera has UDP port 3956"
-            raise LinkLost("link.address_taken", why)
+            raise LinkLost("link.address_taken", f"{address}: no address of a network interface here")
 
         def filled(buffer: int, _user: int, _exposure: int, _gain: int, _pixel_format: int) -> None:
             width, height = (self._arv.call(f"buffer_get_image_{w}", buffer) for w in ("width", "height"))
