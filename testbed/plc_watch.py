@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Self, TextIO
+from typing import Any, NamedTuple, Self, TextIO
 
 from rich.live import Live
 from rich.table import Table
@@ -101,6 +101,15 @@ def list_symbols(plc: WatchedPlc, find: str) -> None:
     out.print(table(f"{len(rows)} of {len(every)} variables", ("name", "type"), rows))
 
 
+class Watched(NamedTuple):
+    """Of each variable what it was; rows read, rows left out, and why the PLC went silent, if it did."""
+
+    variables: dict[str, dict[str, Any]]
+    rows: int
+    late: int
+    silent: str
+
+
 class _Seen:
     """What a variable was: first, last, least, most, and how often it changed."""
 
@@ -117,10 +126,10 @@ class _Seen:
 
 def watch_values(
     plc: WatchedPlc, names: list[str], every_s: float, seconds: float | None, path: Path | None
-) -> bool:
+) -> Watched:
     """Read ``names`` every ``every_s`` until ``seconds`` or Ctrl-C, show them, and write them to ``path``.
 
-    False where the PLC went silent before; what it had said is written all the same. Rows that come late are
+    Where the PLC goes silent before, what it had said is written all the same. Rows that come late are
     counted and told, not made up.
     """
     kinds = plc.types(names)
@@ -154,7 +163,8 @@ def watch_values(
         out.print(f"{path}: {rows} rows of {len(names)} variables", highlight=False, soft_wrap=True)
     if silent:
         err.print(f"longreach: {silent}", style="bold red", highlight=False, soft_wrap=True, markup=False)
-    return not silent
+    shown = {name: vars(one) | {"type": kinds[name]} for name, one in seen.items()}
+    return Watched(shown, rows, late, silent)
 
 
 @contextmanager

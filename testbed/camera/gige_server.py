@@ -2,7 +2,7 @@
 
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 
 import numpy as np
@@ -78,4 +78,5 @@ def serve_gige(settings: CameraSettings, left: str, right: str) -> None:
         stream.begin()
         stack.callback(stream.end)
         out.print(f"two GigE Vision cameras: left {left}, right {right}; Ctrl-C ends", highlight=False)
-        threading.Event().wait()
+        with suppress(KeyboardInterrupt):
+            threading.Event().wait()

@@ -5,22 +5,21 @@ from typing import Annotated
 
 import typer
 
-from testbed.reporting.console import writable
+from testbed.cli.options import JsonFile
+from testbed.reporting.console import writable, write_json
 
-app = typer.Typer(no_args_is_help=True, help="A PLC's variables over ADS.")
-
-_EXAMPLE = (
-    "Example: longreach plc watch PRG_LR_Controller.stArm.nCycle --seconds 10 --out watch.csv"
-    "   beside: longreach up --controller st --set controller.ads.port=48898"
-)
+_TOLD = "A PLC's variables over ADS: our controller in structured text, TwinCAT."
+app = typer.Typer(no_args_is_help=True, help=_TOLD)
 
 
 @app.callback()
 def plc() -> None:
-    """A PLC's variables over ADS."""
+    """A PLC's variables over ADS: our controller in structured text, TwinCAT."""
 
 
-@app.command(epilog=_EXAMPLE)
+@app.command(
+    epilog="Example: longreach plc watch PRG_LR_Controller.stArm.nCycle --seconds 10 --out watch.csv"
+)
 def watch(
     names: Annotated[
         list[str] | None, typer.Argument(help="Variables; without any: what there is to watch.")
@@ -32,6 +31,7 @@ def watch(
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Until Ctrl-C where not given.")] = None,
     find: Annotated[str, typer.Option(help="Of the list: names that hold this, in any letters.")] = "",
     to: Annotated[Path | None, typer.Option("--out", help="A CSV: time_s, then a column a variable.")] = None,
+    json_file: JsonFile = None,
 ) -> None:
     """Show a PLC's variables as they change, and record them; all of a row are of one moment.
 
@@ -44,5 +44,6 @@ def watch(
         if not names:
             list_symbols(watched, find)
         else:
-            heard = watch_values(watched, names, every_ms * 1e-3, seconds, writable(to))
-            raise typer.Exit(0 if heard else 1)
+            seen = watch_values(watched, names, every_ms * 1e-3, seconds, writable(to))
+            write_json(json_file, seen._asdict())
+            raise typer.Exit(1 if seen.silent else 0)

@@ -163,14 +163,15 @@ def test_plc_watch_writes_rows_until_the_plc_goes_silent(
         for name, why in (("MAIN.nothing", "no such variable"), ("MAIN.stPart", "name its parts")):
             with pytest.raises(RequestRefused, match=why):
                 watch_values(plc, [name], 0.01, 1.0, None)
-        assert watch_values(plc, ["MAIN.nCount", "MAIN.stPart.fGain"], 0.01, 0.3, path)
+        seen = watch_values(plc, ["MAIN.nCount", "MAIN.stPart.fGain"], 0.01, 0.3, path)
+        assert (seen.silent, seen.variables["MAIN.stPart.fGain"]["last"]) == ("", 2.5)
         rows = [[float(cell) for cell in line.split(",")] for line in path.read_text().splitlines()[1:]]
         times_s, counts, gains = zip(*rows, strict=True)
         assert list(times_s) == sorted(times_s)
         assert counts[-1] > counts[0]
         assert set(gains) == {2.5}
         threading.Timer(0.3, running_one.close).start()
-        assert not watch_values(plc, ["MAIN.nCount"], 0.01, None, path)
+        assert "link.plc" in watch_values(plc, ["MAIN.nCount"], 0.01, None, path).silent
     assert len(path.read_text().splitlines()) > 2
     assert "link.plc" in capsys.readouterr().err
 
