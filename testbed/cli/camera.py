@@ -118,9 +118,7 @@ def emulate(
     run_emulate(load_settings(config_dir, overrides).scene, asked, pairs, seed, to)
 
 
-@app.command(
-    epilog="Example: longreach camera serve --left 127.0.0.1 --right 127.0.0.2   beside: longreach up"
-)
+@app.command(epilog="Example: longreach camera serve --left 127.0.0.1 --right 127.0.0.2")
 def serve(
     left: Annotated[str, typer.Option(help="Address of the left eye's camera, of an interface here.")],
     right: Annotated[str, typer.Option(help="Address of the right eye's.")],
