@@ -77,6 +77,12 @@ RESOLVED = 0.1  # of a play: it is told to 20 % with two of such σ
 _LEAST_BAR = 0.05  # friction alone asks for some bar at a reversal
 _CURVED = 0.02  # share of the flow at the greatest opening that curvature must make to be told
 _KNOTS = (0.25, 0.5, 0.75, 1.0)
+_LAST = {
+    "supply": "by its supply edge",
+    "return": "by its return edge, which opens last",
+    "outlet": "by its outlet, the load ran ahead",
+    "unknown": "one edge seen: from there to where it surely moves",
+}
 
 
 class JointFindings(NamedTuple):
@@ -269,14 +275,22 @@ def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording:
 
 def _edge(edge: EdgeFindings, opened: float, recording: str) -> ValveEdge:
     deadband = Uncertain(max(edge.deadband.value, 0.0), edge.deadband.std)
-    knots: tuple[tuple[float, float], ...] = ()
-    if opened > 0.0 and abs(edge.curvature) * opened > _CURVED:
-        knots = tuple((x, x + edge.curvature * x * x) for x in (share * opened for share in _KNOTS))
     return ValveEdge(
-        deadband=_number(deadband, (None, DEADBAND_MOST), recording),
+        deadband=_number(deadband, (None, DEADBAND_MOST), f"{recording}, {_LAST[edge.last]}"),
         flow_gain=_number(edge.gain, _GAINS, recording),
-        curve=knots,
+        curve=_curve(edge, opened),
     )
+
+
+def _curve(edge: EdgeFindings, opened: float) -> tuple[tuple[float, float], ...]:
+    """Knots of the flow beyond the deadband: as far as ``meets`` by the return edge, then by the supply edge,
+    which opened ``gap`` before; none where that is a straight line from the deadband on."""
+    curved = edge.gap > 0.0 or abs(edge.curvature) * opened > _CURVED
+    if not curved or opened <= edge.meets:
+        return ()
+    openings = [edge.meets] if edge.meets > 0.0 else []
+    openings += [edge.meets + share * (opened - edge.meets) for share in _KNOTS]
+    return tuple((x, (x + edge.gap) + edge.curvature * (x + edge.gap) ** 2) for x in openings)
 
 
 def _number(found: Uncertain, bounds: tuple[float | None, float | None], recording: str) -> MeasuredNumber:
