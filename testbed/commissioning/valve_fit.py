@@ -35,7 +35,7 @@ _LAMINAR_BAR = 8.0  # the most at which an edge's flow may turn from laminar to 
 _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahead
 # What repeating does not average out: leakage past the spool and the orifice's laminar part shift the rim of
 # a flow that depends on the load, the more so in drawn oil. [M] four joints each of 72902 to 72922.
-_DEPENDENT, _COMPENSATED = Floor(9.0e-5, 2.0e-5), Floor(3.0e-5, 1.0e-5)
+_DEPENDENT, _COMPENSATED = Floor(8.0e-5, 2.0e-5), Floor(2.2e-5, 1.0e-5)
 _DELAY_FLOOR_S = 0.003
 _IMPLAUSIBLE = 3.0  # of the flow's curvature: progressive notches have 0.7
 _UNMETERED = 0.01  # of a deadband, by a loop that is off by a tenth
