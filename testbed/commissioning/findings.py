@@ -22,7 +22,7 @@ from nominal_arm.description import JOINT_NAMES, NominalArm
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.ramp_rows import FrictionFindings, Uncertain, friction_findings, midway
 from testbed.commissioning.recording import JointRecording, TrialsTold, strokes_in
-from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
+from testbed.commissioning.valve_fit import UNLIKE_RAD, EdgeFindings, edge_findings
 from vision_pc.core.calibration.joint_motion import JointSeen
 from vision_pc.core.calibration.joint_play import PlayFound, joint_play, mean_delay
 
@@ -69,10 +69,6 @@ def _keeps(gain: float, lag_s: float, pt1_s: float, least: Margins) -> bool:
 
 DEADBAND_MOST = 0.3  # what the compensation can hold
 _GAINS = (0.05, 20.0)
-# A joint that leaves more is not the model's: three digits of an encoder whose rounding leaves a third,
-# 0.02 mrad, as do booms that load-holding valves let down by fits and starts. With the slowest valve, 0.25
-# rad/s a spool, over 5 s of ramp it stands for 1.2e-4 of spool: not 5 % of the smallest deadband, 0.3 %.
-_RESIDUAL_RAD = 1.5e-4
 RESOLVED = 0.1  # of a play: it is told to 20 % with two of such σ
 _LEAST_BAR = 0.05  # friction alone asks for some bar at a reversal
 _CURVED = 0.02  # share of the flow at the greatest opening that curvature must make to be told
@@ -171,10 +167,10 @@ def _with_play(found: JointFindings, recording: JointRecording) -> JointFindings
 
 def _judge(where: str, edge: EdgeFindings) -> None:
     gain, deadband = edge.gain.value, edge.deadband
-    if edge.residual > _RESIDUAL_RAD:
+    if edge.residual > UNLIKE_RAD:
         raise MeasurementFailed(
             "measurement.unlike_model",
-            f"{where}: the model leaves {1e3 * edge.residual:.2f} mrad, limit {1e3 * _RESIDUAL_RAD:g} mrad",
+            f"{where}: the model leaves {1e3 * edge.residual:.2f} mrad, limit {1e3 * UNLIKE_RAD:g} mrad",
         )
     if deadband.value + deadband.std >= DEADBAND_MOST:
         raise MeasurementFailed(

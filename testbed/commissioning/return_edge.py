@@ -30,7 +30,7 @@ from testbed.commissioning.recording import Array, StrokeRecord
 _SLOWEST, _FASTEST = 0.05, 0.5  # of a ramp's top speed: slower, and a swing crosses the backlash
 _STEP = 5e-4  # of spool: a valley of the misfit is some times as wide
 _REACH = 4e-3  # of spool, to either side, in which the edge is sought again without one of the ramps
-_RESIDUAL_RAD = 6.0e-5  # [M] of edges that meter 0.02 to 0.04 mrad, of holding valves that do 0.1 and more
+METERS_RAD = 6.0e-5  # [M] of edges that meter 0.02 to 0.04 mrad, of holding valves that do 0.1 and more
 _DEPENDENT, _COMPENSATED = 9.0e-5, 4.5e-5  # of spool: what leakage past it shifts in all ramps alike [M]
 _RISES_BAR = 1.0  # of the filled chamber, over the slow rows of a ramp: more than its noise
 _SHARES = (0.2, 1.0)  # of the gap, in which the flow of the return edge reaches that of the supply edge
@@ -63,7 +63,7 @@ def return_edge(triangles: Sequence[StrokeRecord], loop: Loop, curvature: float)
     grid = np.arange(0.0, max(float(stroke.u.max()) for stroke in triangles), _STEP)
     at = _lowest(runs, loop, k, grid)
     residual, gain = _misfit(runs, at, loop, k)
-    if residual > _RESIDUAL_RAD or not gain > 0.0:
+    if residual > METERS_RAD or not gain > 0.0:
         return None
     near = np.arange(max(at - _REACH, 0.0), at + _REACH, _STEP)
     without = [[run for run in runs if run.stroke is not stroke] for stroke in triangles]
