@@ -22,15 +22,17 @@ from vision_pc.core.hand_eye.solvers.noise import NoiseSource
 from vision_pc.core.se3 import Array
 
 BEHIND = 1.02  # of the best classical method's error: more, and another estimator is taken
+_COMPARED = tuple(one for one in Classical if one is not Classical.TSAI)  # which writes on standard error
 _K = TypeVar("_K")
+_SURE = 2.0  # standard deviations
 LEAST = 12  # samples: with fewer a half cannot tell camera from robot noise, and estimates as another would
 
 
 class Held(NamedTuple):
-    """Root-mean-square errors of predicting the other half: ``rotation`` rad, ``translation`` m."""
+    """Squared errors (n,) of predicting the other half: ``rotation`` rad², ``translation`` m²."""
 
-    rotation: float
-    translation: float
+    rotation: Array
+    translation: Array
 
 
 class Choice(NamedTuple):
@@ -45,20 +47,21 @@ def chosen(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> Choice:
     """What to estimate ``pairs`` by, where maximum likelihood with both noises gave X, Z (4, 4), ``noise``.
 
     It stays unless two-fold hold-out puts it more than 2 % behind the best classical method, in rotation or
-    in translation; then the estimator that is least behind is taken.
+    in translation, and by more than twice what chance does; then the estimator that is least behind is taken.
     """
     if len(pairs) < LEAST:
         return Choice(None, 1.0)
-    classical = _errors(pairs, {one: _classical(one) for one in Classical})
+    classical = _errors(pairs, {one: _classical(one) for one in _COMPARED})
     if not classical:
         return Choice(None, 1.0)
-    best = Held(*(min(column) for column in zip(*classical.values(), strict=True)))
+    best = Held(*(min(column, key=np.sum) for column in zip(*classical.values(), strict=True)))
     by_source = {source: _likely(source, X, Z, noise) for source in NoiseSource}
     likely = _errors(pairs, by_source)
+    if NoiseSource.BOTH not in likely or not _contradicted(likely[NoiseSource.BOTH], best):
+        return Choice(None, 1.0)
     behind = {one: _behind(held, best) for one, held in (*likely.items(), *classical.items())}
-    own = behind.pop(NoiseSource.BOTH, float("inf"))
     first = min(behind, key=behind.__getitem__)
-    return Choice(first if own > BEHIND and behind[first] < own else None, own)
+    return Choice(None if first is NoiseSource.BOTH else first, behind[NoiseSource.BOTH])
 
 
 def by_classical(pairs: PosePairs, method: Classical) -> tuple[Array, Array]:
@@ -98,11 +101,23 @@ def _errors(
         except MeasurementFailed:
             continue
         r = np.concatenate(parts)
-        held[name] = Held(
-            *(float(np.sqrt(np.mean(np.sum(part**2, axis=1)))) for part in (r[:, 3:], r[:, :3]))
-        )
+        held[name] = Held(np.sum(r[:, 3:] ** 2, axis=1), np.sum(r[:, :3] ** 2, axis=1))
     return held
 
 
 def _behind(held: Held, best: Held) -> float:
-    return max(held.rotation / max(best.rotation, 1e-12), held.translation / max(best.translation, 1e-12))
+    """The worse of rotation and translation, over the best."""
+    return max(
+        float(np.sqrt(np.mean(mine) / max(float(np.mean(least)), 1e-24)))
+        for mine, least in zip(held, best, strict=True)
+    )
+
+
+def _contradicted(held: Held, best: Held) -> bool:
+    for mine, least in zip(held, best, strict=True):
+        further = mine - least
+        by_chance = float(further.std(ddof=1)) / np.sqrt(len(further))
+        behind = float(np.mean(mine)) > BEHIND**2 * float(np.mean(least))
+        if behind and float(further.mean()) > _SURE * by_chance:
+            return True
+    return False
