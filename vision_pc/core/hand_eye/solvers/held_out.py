@@ -24,7 +24,7 @@ from vision_pc.core.se3 import Array
 BEHIND = 1.02  # of the best classical method's error: more, and another estimator is taken
 _COMPARED = tuple(one for one in Classical if one is not Classical.TSAI)  # which writes on standard error
 _K = TypeVar("_K")
-_SURE = 2.0  # standard deviations
+_SURE = 3.0  # standard deviations: the best of six is ahead of an equal by one and a half
 LEAST = 12  # samples: with fewer a half cannot tell camera from robot noise, and estimates as another would
 
 
@@ -47,7 +47,7 @@ def chosen(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> Choice:
     """What to estimate ``pairs`` by, where maximum likelihood with both noises gave X, Z (4, 4), ``noise``.
 
     It stays unless two-fold hold-out puts it more than 2 % behind the best classical method, in rotation or
-    in translation, and by more than twice what chance does; then the estimator that is least behind is taken.
+    in translation, and beyond chance; then the estimator that is least behind is taken.
     """
     if len(pairs) < LEAST:
         return Choice(None, 1.0)
