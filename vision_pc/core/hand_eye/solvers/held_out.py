@@ -21,11 +21,15 @@ from vision_pc.core.hand_eye.solvers.motions import all_motions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
 from vision_pc.core.se3 import Array
 
-BEHIND = 1.02  # of the best classical method's error: more, and another estimator is taken
-_COMPARED = tuple(one for one in Classical if one is not Classical.TSAI)  # which writes on standard error
+BEHIND = 1.02  # [D] of the best classical method's error: more, and another estimator is taken
+_COMPARED = tuple(
+    one for one in Classical if one is not Classical.TSAI
+)  # [D] OpenCV's writes on standard error
 _K = TypeVar("_K")
-_SURE = 3.0  # standard deviations: the best of six is ahead of an equal by one and a half
-LEAST = 12  # samples: with fewer a half cannot tell camera from robot noise, and estimates as another would
+_SURE = 3.0  # [D] standard deviations: the best of six is ahead of an equal by one and a half
+LEAST = (
+    12  # [D] samples: with fewer a half cannot tell camera from robot noise, and estimates as another would
+)
 
 
 class Held(NamedTuple):
@@ -35,7 +39,7 @@ class Held(NamedTuple):
     translation: Array
 
 
-class Choice(NamedTuple):
+class EstimatorChoice(NamedTuple):
     """The estimator that predicts best, None: the one asked about; ``behind``: how many times the best
     classical method's error that one's is, the worse of rotation and translation."""
 
@@ -43,25 +47,25 @@ class Choice(NamedTuple):
     behind: float
 
 
-def chosen(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> Choice:
+def chosen(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> EstimatorChoice:
     """What to estimate ``pairs`` by, where maximum likelihood with both noises gave X, Z (4, 4), ``noise``.
 
     It stays unless two-fold hold-out puts it more than 2 % behind the best classical method, in rotation or
     in translation, and beyond chance; then the estimator that is least behind is taken.
     """
     if len(pairs) < LEAST:
-        return Choice(None, 1.0)
+        return EstimatorChoice(None, 1.0)
     classical = _errors(pairs, {one: _classical(one) for one in _COMPARED})
     if not classical:
-        return Choice(None, 1.0)
+        return EstimatorChoice(None, 1.0)
     best = Held(*(min(column, key=np.sum) for column in zip(*classical.values(), strict=True)))
     by_source = {source: _likely(source, X, Z, noise) for source in NoiseSource}
     likely = _errors(pairs, by_source)
     if NoiseSource.BOTH not in likely or not _contradicted(likely[NoiseSource.BOTH], best):
-        return Choice(None, 1.0)
+        return EstimatorChoice(None, 1.0)
     behind = {one: _behind(held, best) for one, held in (*likely.items(), *classical.items())}
     first = min(behind, key=behind.__getitem__)
-    return Choice(None if first is NoiseSource.BOTH else first, behind[NoiseSource.BOTH])
+    return EstimatorChoice(None if first is NoiseSource.BOTH else first, behind[NoiseSource.BOTH])
 
 
 def by_classical(pairs: PosePairs, method: Classical) -> tuple[Array, Array]:

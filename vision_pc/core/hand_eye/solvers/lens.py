@@ -21,9 +21,8 @@ from vision_pc.core.se3 import Array
 
 FOCAL_STD = 0.002  # [E] relative; calibrations of one camera by different hands agree to 0.1 to 0.3 %
 PRINCIPAL_STD = 0.002  # [E] of the focal length: 1 to 2 px at 720p
-# [E] of k1 k2 p1 p2 k3; what a calibration leaves of the radial ones trades between them, so that k1 stands
-# for all: half a pixel of 1000 at half a focal length from the axis
-DISTORTION_STD = (4e-3, 0.0, 4e-4, 4e-4, 0.0)
+# Radial terms trade between each other, so that k1 stands for all: half a pixel at half of 1000 px.
+DISTORTION_STD = (4e-3, 0.0, 4e-4, 4e-4, 0.0)  # [E] of k1 k2 p1 p2 k3
 _USUAL_FOCAL_PX = 1000.0  # of a camera that nobody described; results do not depend on it
 _HALF_SIDE = 0.1  # of a target whose corners nobody gave, over its distance
 _PARAMETERS = 9
