@@ -256,8 +256,8 @@ def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording:
     lag_ms = min(before.lag_ms.value, total_ms)
     hysteresis = found.hysteresis
     return JointValve(
-        raising=_edge(found.raising, found.opened[0], recording),
-        lowering=_edge(found.lowering, found.opened[1], recording),
+        raising=valve_edge(found.raising, found.opened[0], recording),
+        lowering=valve_edge(found.lowering, found.opened[1], recording),
         hysteresis=_number(Uncertain(max(hysteresis.value, 0.0), hysteresis.std), (None, 0.3), recording),
         delay_ms=_number(
             Uncertain(total_ms - lag_ms, math.hypot(1e3 * found.lag.std, before.lag_ms.std)),
@@ -269,7 +269,9 @@ def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording:
     )
 
 
-def _edge(edge: EdgeFindings, opened: float, recording: str) -> ValveEdge:
+def valve_edge(edge: EdgeFindings, opened: float, recording: str) -> ValveEdge:
+    """The file's entry of one sense: ``opened`` (of spool) is the furthest that it was tried out beyond its
+    deadband, ``recording`` what it came from, to which is added by which edge."""
     deadband = Uncertain(max(edge.deadband.value, 0.0), edge.deadband.std)
     return ValveEdge(
         deadband=_number(deadband, (None, DEADBAND_MOST), f"{recording}, {_LAST[edge.last]}"),

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from controller.core.excitation.plan import StrokeKind
+from testbed.commissioning.findings import valve_edge
 from testbed.commissioning.ramp_fit import Loop, integral
 from testbed.commissioning.ramp_rows import Uncertain
 from testbed.commissioning.recording import Array, StrokeRecord
 from testbed.commissioning.return_edge import ReturnEdge, between, holds_back, meets, return_edge
+from testbed.commissioning.valve_fit import EdgeFindings
 
 HYSTERESIS, LAG_S, SUPPLY, RETURN = 0.04, 0.06, 0.07, 0.085
 GAIN, COMPLIANCE = 1.2, 6e-4  # of the outlet; rad/bar
@@ -72,3 +74,23 @@ def test_the_supply_edge_meters_again_where_the_return_edge_would_pass_as_much()
     wide = ReturnEdge(Uncertain(RETURN, 1e-4), gain=0.6, drop=1.0)
     assert meets(0.015, wide, 0.2) == pytest.approx(0.0075)
     assert meets(0.015, wide, 0.7) == 0.015
+
+
+def test_the_file_says_which_edge_opens_last_and_follows_both() -> None:
+    """Steep from the return edge on, then as the supply edge has it, which opened earlier."""
+    some = Uncertain(0.05, 1e-3)
+    found = EdgeFindings(
+        Uncertain(RETURN, 1e-4), some, some, some, gain=Uncertain(0.2, 2e-3), curvature=0.7, compliance=0.0,
+        flow=(), residual=2e-5, last="return", gap=0.015, meets=0.006,
+    )  # fmt: skip
+    edge = valve_edge(found, 0.06, "tilt.npz 0123")
+    assert edge.deadband.recording == "tilt.npz 0123, by its return edge, which opens last"
+    beyond = np.array(edge.curve)
+    supply = beyond[:, 0] + found.gap
+    assert beyond[0, 0] == found.meets
+    assert np.allclose(beyond[:, 1], supply + 0.7 * supply**2)
+    slopes = np.diff(np.vstack([[0.0, 0.0], beyond]), axis=0)
+    assert slopes[0, 1] / slopes[0, 0] > 2.0 * slopes[1, 1] / slopes[1, 0]
+    one = valve_edge(found._replace(last="unknown", gap=0.0, meets=0.0, curvature=0.0), 0.06, "tilt.npz")
+    assert one.curve == ()
+    assert "one edge seen" in one.deadband.recording

@@ -27,9 +27,7 @@ _COMPARED = tuple(
 )  # [D] OpenCV's writes on standard error
 _K = TypeVar("_K")
 _SURE = 3.0  # [D] standard deviations: the best of six is ahead of an equal by one and a half
-LEAST = (
-    12  # [D] samples: with fewer a half cannot tell camera from robot noise, and estimates as another would
-)
+LEAST = 12  # [D] samples: with fewer a half cannot tell camera from robot noise
 
 
 class Held(NamedTuple):
