@@ -109,9 +109,12 @@ def findings_tables(found: Mapping[int, JointFindings], seen: TrialsTold | None 
     ]
 
 
+_SEEN_BY = {"return": "return edge last", "outlet": "by its outlet", "unknown": "one edge seen"}
+
+
 def _edge_cells(sense: str, edge: EdgeFindings) -> tuple[str, ...]:
     return (
-        f"{sense}, by its outlet" if edge.by_outlet else sense,
+        sense if edge.last == "supply" else f"{sense}, {_SEEN_BY[edge.last]}",
         _number_text(edge.deadband, 100.0, 3),
         _number_text(edge.hysteresis, 100.0, 2),
         _number_text(edge.lag, 1e3, 0),

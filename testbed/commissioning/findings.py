@@ -22,7 +22,7 @@ from nominal_arm.description import JOINT_NAMES, NominalArm
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.ramp_rows import FrictionFindings, Uncertain, friction_findings, midway
 from testbed.commissioning.recording import JointRecording, TrialsTold, strokes_in
-from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
+from testbed.commissioning.valve_fit import UNLIKE_RAD, EdgeFindings, edge_findings
 from vision_pc.core.calibration.joint_motion import JointSeen
 from vision_pc.core.calibration.joint_play import PlayFound, joint_play, mean_delay
 
@@ -69,14 +69,16 @@ def _keeps(gain: float, lag_s: float, pt1_s: float, least: Margins) -> bool:
 
 DEADBAND_MOST = 0.3  # what the compensation can hold
 _GAINS = (0.05, 20.0)
-# A joint that leaves more is not the model's: three digits of an encoder whose rounding leaves a third,
-# 0.02 mrad, as do booms that load-holding valves let down by fits and starts. With the slowest valve, 0.25
-# rad/s a spool, over 5 s of ramp it stands for 1.2e-4 of spool: not 5 % of the smallest deadband, 0.3 %.
-_RESIDUAL_RAD = 1.5e-4
 RESOLVED = 0.1  # of a play: it is told to 20 % with two of such σ
 _LEAST_BAR = 0.05  # friction alone asks for some bar at a reversal
 _CURVED = 0.02  # share of the flow at the greatest opening that curvature must make to be told
 _KNOTS = (0.25, 0.5, 0.75, 1.0)
+_LAST = {
+    "supply": "by its supply edge",
+    "return": "by its return edge, which opens last",
+    "outlet": "by its outlet, the load ran ahead",
+    "unknown": "one edge seen: from there to where it surely moves",
+}
 
 
 class JointFindings(NamedTuple):
@@ -165,10 +167,10 @@ def _with_play(found: JointFindings, recording: JointRecording) -> JointFindings
 
 def _judge(where: str, edge: EdgeFindings) -> None:
     gain, deadband = edge.gain.value, edge.deadband
-    if edge.residual > _RESIDUAL_RAD:
+    if edge.residual > UNLIKE_RAD:
         raise MeasurementFailed(
             "measurement.unlike_model",
-            f"{where}: the model leaves {1e3 * edge.residual:.2f} mrad, limit {1e3 * _RESIDUAL_RAD:g} mrad",
+            f"{where}: the model leaves {1e3 * edge.residual:.2f} mrad, limit {1e3 * UNLIKE_RAD:g} mrad",
         )
     if deadband.value + deadband.std >= DEADBAND_MOST:
         raise MeasurementFailed(
@@ -254,8 +256,8 @@ def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording:
     lag_ms = min(before.lag_ms.value, total_ms)
     hysteresis = found.hysteresis
     return JointValve(
-        raising=_edge(found.raising, found.opened[0], recording),
-        lowering=_edge(found.lowering, found.opened[1], recording),
+        raising=valve_edge(found.raising, found.opened[0], recording),
+        lowering=valve_edge(found.lowering, found.opened[1], recording),
         hysteresis=_number(Uncertain(max(hysteresis.value, 0.0), hysteresis.std), (None, 0.3), recording),
         delay_ms=_number(
             Uncertain(total_ms - lag_ms, math.hypot(1e3 * found.lag.std, before.lag_ms.std)),
@@ -267,16 +269,26 @@ def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording:
     )
 
 
-def _edge(edge: EdgeFindings, opened: float, recording: str) -> ValveEdge:
+def valve_edge(edge: EdgeFindings, opened: float, recording: str) -> ValveEdge:
+    """The file's entry of one sense: ``opened`` (of spool) is the furthest that it was tried out beyond its
+    deadband, ``recording`` what it came from, to which is added by which edge."""
     deadband = Uncertain(max(edge.deadband.value, 0.0), edge.deadband.std)
-    knots: tuple[tuple[float, float], ...] = ()
-    if opened > 0.0 and abs(edge.curvature) * opened > _CURVED:
-        knots = tuple((x, x + edge.curvature * x * x) for x in (share * opened for share in _KNOTS))
     return ValveEdge(
-        deadband=_number(deadband, (None, DEADBAND_MOST), recording),
+        deadband=_number(deadband, (None, DEADBAND_MOST), f"{recording}, {_LAST[edge.last]}"),
         flow_gain=_number(edge.gain, _GAINS, recording),
-        curve=knots,
+        curve=_curve(edge, opened),
     )
+
+
+def _curve(edge: EdgeFindings, opened: float) -> tuple[tuple[float, float], ...]:
+    """Knots of the flow beyond the deadband: as far as ``meets`` by the return edge, then by the supply edge,
+    which opened ``gap`` before; none where that is a straight line from the deadband on."""
+    curved = edge.gap > 0.0 or abs(edge.curvature) * opened > _CURVED
+    if not curved or opened <= edge.meets:
+        return ()
+    openings = [edge.meets] if edge.meets > 0.0 else []
+    openings += [edge.meets + share * (opened - edge.meets) for share in _KNOTS]
+    return tuple((x, (x + edge.gap) + edge.curvature * (x + edge.gap) ** 2) for x in openings)
 
 
 def _number(found: Uncertain, bounds: tuple[float | None, float | None], recording: str) -> MeasuredNumber:

@@ -157,8 +157,8 @@ def _misfit(parts: Sequence[_Part], rims: Array, airy: float) -> tuple[Array, Ar
     for k, (stroke, rows, weights) in enumerate(parts):
         beyond = np.maximum(stroke.u[rows] - weights @ rims, 0.0)
         block = np.zeros((len(rows), _SHARED + len(parts)))
-        block[:, 0] = _integral(stroke.t[rows], stroke.e[rows] * beyond)
-        block[:, 1] = _integral(stroke.t[rows], stroke.e[rows] * beyond**2)
+        block[:, 0] = integral(stroke.t[rows], stroke.e[rows] * beyond)
+        block[:, 1] = integral(stroke.t[rows], stroke.e[rows] * beyond**2)
         block[:, 2] = -(stroke.inlet[rows] - stroke.inlet[rows[0]])
         block[:, 3] = -(stroke.air[rows] - stroke.air[rows[0]]) if airy > 0.0 else 0.0
         block[:, _SHARED + k] = 1.0
@@ -185,7 +185,7 @@ def _at_rest(rates: Array) -> Array:
 
 def fit_step(stroke: StrokeRecord) -> StepFit:
     """The StepFit of a step: the delay is the one with which constant flow from then on fits best."""
-    passed = _integral(stroke.t, stroke.e)
+    passed = integral(stroke.t, stroke.e)
     best: tuple[float, float, float] | None = None
     for delay in _DELAYS_S:
         if delay > 0.6 * stroke.t[-1]:
@@ -202,7 +202,7 @@ def fit_step(stroke: StrokeRecord) -> StepFit:
     return StepFit(float(stroke.u[stroke.top]), delay, speed, residual)
 
 
-def _integral(t: Array, values: Array) -> Array:
+def integral(t: Array, values: Array) -> Array:
     """The integral (n,) from the first sample on, by trapezoids."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
 

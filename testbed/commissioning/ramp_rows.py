@@ -15,7 +15,7 @@ from testbed.commissioning.recording import Array, StrokeRecord
 SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves are used
 _SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
 FED_BAR = 1.0  # above the tank: less, and a chamber is filled from there, and its edge meters nothing
-_LEAST_S = 0.2  # in motion, of a run of rows
+SHORTEST_S = 0.2  # in motion, of a run of rows
 _LEAST_HALVES = 2  # of a way
 _CROSSED_RAD = 2.0e-3  # of a triangle, after which oil no longer moves an actuator within its play
 _FOLLOWS_S = 0.35  # a spool, until it lags behind a ramp by as much as it will: 4 Hz, well damped
@@ -45,13 +45,13 @@ def halves_of(triangles: Sequence[StrokeRecord], compliance: float) -> list[Half
     for name, way in (("rising", 1.0), ("falling", -1.0)):
         halves = sorted((_half(stroke, way, compliance) for stroke in triangles), key=lambda h: -h.seconds)
         second = halves[_LEAST_HALVES - 1].seconds if len(halves) >= _LEAST_HALVES else 0.0
-        if second < _LEAST_S:
+        if second < SHORTEST_S:
             raise MeasurementFailed(
                 "measurement.ramp_too_short",
-                f"{second:.2f} s in motion on the {name} ramp, at least {_LEAST_S:g} s wanted on "
+                f"{second:.2f} s in motion on the {name} ramp, at least {SHORTEST_S:g} s wanted on "
                 f"{_LEAST_HALVES} of them",
             )
-        told += [half for half in halves if half.seconds >= _LEAST_S]
+        told += [half for half in halves if half.seconds >= SHORTEST_S]
     return told
 
 
@@ -60,12 +60,12 @@ def _half(stroke: StrokeRecord, way: float, compliance: float) -> Half:
     index, top = np.arange(len(flow)), float(flow.max())
     mine = (index < stroke.top) if way > 0.0 else (index > stroke.top)
     flows = (flow > SLOW * top) & (flow < _FAST * top) & _moves(stroke)
-    runs = _runs(mine & flows & _is_settled(stroke) & (stroke.fed_bar > FED_BAR))
+    runs = runs_of(mine & flows & is_settled(stroke) & (stroke.fed_bar > FED_BAR))
     longest = max((_seconds(stroke, rows) for rows in runs), default=0.0)
-    return Half(stroke, [rows for rows in runs if _seconds(stroke, rows) >= _LEAST_S], way, longest)
+    return Half(stroke, [rows for rows in runs if _seconds(stroke, rows) >= SHORTEST_S], way, longest)
 
 
-def _is_settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
+def is_settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
     """Whether the command has gone at the ramp's rate for as long as a spool takes to follow it (n,)."""
     quick = np.abs(np.gradient(stroke.u, stroke.t)) >= 1.5 * rate_of(stroke)  # a start, the turn at the top
     since = np.where(quick, stroke.t, stroke.t[0])
@@ -75,7 +75,7 @@ def _is_settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
 def plateaus(stroke: StrokeRecord, delay: float) -> list[NDArray[np.intp]]:
     """The runs of a step in motion, once its flow is steady and metered by the edge that is told."""
     steady = (stroke.t > delay + _FOLLOWS_S) & _moves(stroke) & (stroke.fed_bar > FED_BAR)
-    return [rows for rows in _runs(steady) if _seconds(stroke, rows) >= _LEAST_S]
+    return [rows for rows in runs_of(steady) if _seconds(stroke, rows) >= SHORTEST_S]
 
 
 def _moves(stroke: StrokeRecord) -> NDArray[np.bool_]:
@@ -88,7 +88,7 @@ def _seconds(stroke: StrokeRecord, rows: NDArray[np.intp]) -> float:
     return float(stroke.t[rows[-1]] - stroke.t[rows[0]])
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+def runs_of(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """The runs of samples for which ``flags`` hold; noise may interrupt one shortly."""
     rows = np.flatnonzero(flags)
     if len(rows) == 0:

@@ -46,6 +46,10 @@ class DrawnSettings(NamedTuple):
     assignments: Assignments = None
     adapting: Adapting = False
     commissioned: Commissioned = False
+    own_file: Annotated[
+        bool,
+        typer.Option("--own-file", help="The machine commissions itself first: six joints, its own file."),
+    ] = False
 
 
 Positioned = Finished[DrawnSettings, PositioningRow]
@@ -55,7 +59,9 @@ def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list
     """One task a run; with both arms, seeds take them in turn."""
     asked: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes)}
     asked |= {"assignments": settings.assignments or []}
-    asked |= {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
+    asked |= {name: True for name in ("adapting", "commissioned", "own_file") if getattr(settings, name)}
+    if settings.own_file:
+        asked["commissioned"] = True
     one = WORLDS[settings.world].arm if settings.arm is None else settings.arm
     chosen = ARMS if settings.arm == BOTH_ARMS else (one,)
     return [

@@ -14,6 +14,7 @@ import numpy as np
 
 from foundation.configuration import laid_over, merged, parse_overrides
 from laboratory.campaigns.rows import UNKNOWN, XYZ, xyz
+from laboratory.experiments.positioning.own_commissioning import own_commissioning
 from laboratory.experiments.positioning.scenarios import Drawn, draw
 from laboratory.experiments.positioning.worlds import WORLDS, WorldName, stated_commissioning
 from nominal_arm.commissioned import JointPlay
@@ -21,7 +22,7 @@ from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.lockstep.simulated_measurements import SightMaker, load_eye_model, simulated_sight
+from testbed.lockstep.simulated_measurements import EyeCondition, SightMaker, load_eye_model, simulated_sight
 from testbed.reporting.console import bars
 from testbed.scenarios.scenario import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
@@ -89,7 +90,8 @@ class Branch(NamedTuple):
 class PositioningRow(NamedTuple):
     """One run: what was drawn, and each branch; a program that refuses or fails ends its branch.
 
-    ``commissioned``: as ``stated_commissioning`` tells, not by a commissioning that was run.
+    ``commissioned``: the controller knows its valves: as ``stated_commissioning`` tells, or by ``own_file``,
+    of a commissioning that was run.
     """
 
     seed: int
@@ -102,6 +104,7 @@ class PositioningRow(NamedTuple):
     world: str = ""
     adapting: bool = False
     commissioned: bool = False
+    own_file: bool = False
     unreachable: int | None = None
     unseen: int | None = None
     one_shot: Branch = Branch()
@@ -118,7 +121,7 @@ def one_run(config_dir: Path, task: JSON) -> JSON:
     """
     drawn = drawn_by(config_dir, task)
     row: JSON = {"seed": task["seed"], "arm": task["arm"], "world": task["world"], **drawn.shown}
-    row |= {name: bool(task.get(name)) for name in ("adapting", "commissioned")}
+    row |= {name: bool(task.get(name)) for name in ("adapting", "commissioned", "own_file")}
     try:
         rig = prepared(config_dir, task)
     except LongreachError as error:
@@ -164,7 +167,9 @@ def settings_of(
     settings = load_settings(config_dir, asked)
     if not task.get("commissioned"):
         return settings
-    return commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
+    sides, own = task.get("sides", True), task.get("own_file", False)
+    condition = WORLDS[WorldName(task["world"])].eyes if own else None
+    return commissioned(config_dir, asked, settings, task["seed"], sides, condition)
 
 
 def adapting(config_dir: Path) -> JSON:
@@ -173,16 +178,26 @@ def adapting(config_dir: Path) -> JSON:
 
 
 def commissioned(
-    config_dir: Path, asked: JSON, settings: Settings, seed: int, sides: bool = True
+    config_dir: Path,
+    asked: JSON,
+    settings: Settings,
+    seed: int,
+    sides: bool = True,
+    watched: EyeCondition | None = None,
 ) -> Settings:
     """``settings``, which come from ``asked``, with the valves' plates read and ``stated_commissioning``.
 
-    Without ``sides`` the widths of backlash are not in it.
+    Without ``sides`` the widths of backlash are not in it. ``watched``: eyes before which the machine
+    commissions itself, and makes a file of its own in place of the stated one.
     """
     compensated = settings.plant.valves.compensator_bar > 0.0
     plates = {"name": settings.plant.valve_set, "pressure_compensated": compensated}
-    settings = load_settings(config_dir, merged(asked, {"controller": {"valves": plates}}))
-    found = stated_commissioning(settings, seed)
+    asked = merged(asked, {"controller": {"valves": plates}})
+    settings = load_settings(config_dir, asked)
+    if watched is None:
+        found = stated_commissioning(settings, seed)
+    else:
+        found = own_commissioning(config_dir, asked, seed, watched)
     if not sides:
         found = found.model_copy(update={"play_mrad": JointPlay()})
     return settings._replace(controller=settings.controller.model_copy(update={"commissioned": found}))

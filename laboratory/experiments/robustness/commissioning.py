@@ -31,6 +31,7 @@ from testbed.scenarios.scenario import Settings, load_settings
 
 _STREAM = 0x636F6D6D
 _AXES = (axes.friction, axes.bending, axes.play, axes_of_sight.stamps)
+_OF_REAL = (axes.oil, axes.supply, axes.rocking_base)  # of degraded machines, beside those
 _SETS = ("servo", "mobile")
 PLAY_LIMIT = 0.2  # of itself
 MINUTES_LIMIT = 15.0  # of arm time, for all six joints
@@ -42,8 +43,8 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
     """Overrides of one machine: even seeds have servo valves, odd ones mobile valves; the arms in pairs.
 
     Every spool's four edges, loop, delay and bandwidth are drawn, and with them flow, friction, bending,
-    play, what is left at the empty tool and how late pictures are stamped, over a scenario of the lab's
-    (pose, camera's mount, geometry). The controller is told the kind of the valves, nothing else.
+    play, oil, pump, a rocking base, what is left at the empty tool and how late pictures are stamped, over a
+    scenario of the lab's (pose, camera's mount, geometry). The controller knows the kind of the valves alone.
     """
     rng = np.random.default_rng([seed, _STREAM])
     kind, arm = _SETS[seed % 2], ARMS[seed // 2 % 2]
@@ -63,7 +64,7 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
         },
         "controller": {"valves": plates},
     }
-    for axis in _AXES:
+    for axis in (*_AXES, *_OF_REAL):
         own = merged(own, axis.draw(rng, usual))
     return merged(overrides, own)
 
@@ -72,7 +73,7 @@ def _drawn_valve(rng: np.random.Generator, kind: str) -> JSON:
     """A servo valve with 0.3 to 3 % of deadband, a mobile one with 5 to 12 % and 2 to 7 % of hysteresis."""
     low, high = (0.003, 0.03) if kind == "servo" else (0.05, 0.12)
     supply = rng.uniform(low, high, 2)
-    back = supply * rng.uniform(0.8, 1.0, 2)  # return edges open first
+    back = supply * rng.uniform(0.75, 1.25, 2)  # return edges open first, or last
     loop = rng.uniform(0.0, 0.1) * supply.min() if kind == "servo" else rng.uniform(0.02, 0.07)
     return {
         "deadband": {
@@ -106,6 +107,13 @@ def true_valve(plant: PlantConfig, joint: int) -> TrueValve:
     return TrueValve(raising, lowering, valve.hysteresis)
 
 
+def supplies(plant: PlantConfig, joint: int) -> tuple[float, float]:
+    """The spools at which the supply edges of ``joint`` open, raising and lowering."""
+    name = VALVE_NAMES[joint]
+    supply_a, _, supply_b, _ = plant.valves.of(name, getattr(plant.actuators, name).rated_flow_l_min).deadband
+    return supply_a, supply_b
+
+
 def _true_rim(edges: tuple[float, float], found: EdgeFindings) -> float:
     """Of the edge that ``found`` says it is of."""
     return edges[1] if found.by_outlet else edges[0]
@@ -114,7 +122,8 @@ def _true_rim(edges: tuple[float, float], found: EdgeFindings) -> float:
 class CommissioningRow(NamedTuple):
     """One joint of one machine; errors in per cent of the truth or of full spool, ``z`` over σ.
 
-    ``by_outlet``: of how many senses the load ran ahead. ``play_resolved``: 1 where it is reported to 20 %.
+    ``by_outlet``: of how many senses the load ran ahead, ``later``: in how many the return edge opens last,
+    ``unknown``: of how many one edge alone was seen. ``play_resolved``: 1 where it is reported to 20 %.
     """
 
     failure: str
@@ -123,6 +132,8 @@ class CommissioningRow(NamedTuple):
     valves: str
     joint: int
     by_outlet: int
+    later: int
+    unknown: int
     raising_percent: float
     lowering_percent: float
     raising_z: float
@@ -162,6 +173,10 @@ def commission_joint(config_dir: Path, task: JSON) -> JSON:
         "valves": _SETS[seed % 2],
         "joint": joint,
         "by_outlet": int(found.raising.by_outlet) + int(found.lowering.by_outlet),
+        "later": sum(
+            edges[0] > supply for edges, supply in zip(true[:2], supplies(settings.plant, joint), strict=True)
+        ),
+        "unknown": [found.raising.last, found.lowering.last].count("unknown"),
         "raising_percent": 100.0 * (raising.value / up - 1.0),
         "lowering_percent": 100.0 * (lowering.value / down - 1.0),
         "raising_z": _z(raising, up),
@@ -226,7 +241,8 @@ def commissioning_table(done: FoundJoints) -> list[Table]:
     ]
     lines = [(arm, kind, *_line(rows)) for arm, kind, rows in groups if rows]
     headings = (
-        "arm", "valves", "joints", "deadband, median %", "worst %", "NEES", "hysteresis, median %", "NEES",
+        "arm", "valves", "joints", "return edge last", "one edge seen",
+        "deadband, median %", "worst %", "NEES", "hysteresis, median %", "NEES",
         "play, median %", "within 20 %", "reported to 20 %", "NEES", "delay, median ms", "NEES", "s a joint",
     )  # fmt: skip
     failed = [(f"{row.failure[:100]}",) for row in done.rows if row.failure]
@@ -241,6 +257,8 @@ def _line(rows: list[CommissioningRow]) -> tuple[object, ...]:
     late = np.abs([row.delay_ms - row.delay_true_ms for row in rows])
     return (
         len(rows),
+        sum(row.later for row in rows),
+        sum(row.unknown for row in rows),
         f"{np.median(np.abs(errors)):.2f}",
         f"{np.abs(errors).max():.2f}",
         f"{np.mean(z**2):.2f}",
@@ -281,6 +299,8 @@ def commissioning_verdict(done: FoundJoints) -> list[Check]:
     minutes = len(JOINT_NAMES) * float(np.mean([row.arm_s for row in rows])) / 60.0
     z_of = {
         "deadbands": z.tolist(),
+        "deadbands, servo valves": _edges([row for row in rows if row.valves == "servo"])[1].tolist(),
+        "deadbands, mobile valves": _edges([row for row in rows if row.valves == "mobile"])[1].tolist(),
         "hysteresis": [row.hysteresis_z for row in rows],
         "play": [row.play_z for row in rows],
         "camera's delay": [row.delay_z for row in rows],
@@ -290,7 +310,11 @@ def commissioning_verdict(done: FoundJoints) -> list[Check]:
         at_least("deadbands within 5 % of the truth", float(np.mean(np.abs(errors) <= 5.0)), 1.0),
         at_least("plays within 20 % of the truth", float(np.mean(play <= 100.0 * PLAY_LIMIT)), 1.0),
         at_least("… of those that are reported to 20 %", _resolved_right(rows), 0.95),
-        *(inside(f"NEES of {name}", _nees(values), _band(len(values))) for name, values in z_of.items()),
+        *(
+            inside(f"NEES of {name}", _nees(values), _band(len(values)))
+            for name, values in z_of.items()
+            if values
+        ),
         at_most("arm time for six joints, mean", minutes, MINUTES_LIMIT, "min"),
     ]
 

@@ -70,9 +70,9 @@ def test_a_load_that_runs_ahead_is_metered_by_its_outlet() -> None:
     share = np.median(strokes[4].e_by_outlet / strokes[4].e)
     assert 0.3 * share < found.gain.value < 3.0 * share
     filled = [stroke._replace(fed_bar=np.full_like(stroke.t, 20.0)) for stroke in strokes]
-    misled = edge_findings(filled, 1.0)
-    assert not misled.by_outlet
-    assert misled.deadband.value != pytest.approx(0.05, rel=0.02)
+    pushed = edge_findings(filled, 1.0)
+    assert pushed.last == "return"
+    assert pushed.deadband.value == pytest.approx(0.05, rel=0.02)
 
 
 def test_a_load_that_runs_ahead_at_small_openings_alone_is_metered_by_its_inlet_beyond() -> None:

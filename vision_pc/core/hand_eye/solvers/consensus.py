@@ -30,6 +30,7 @@ LEAST_FOR_OUTLIERS = 5  # samples: with fewer, three that agree by chance outvot
 _TRIPLES = 300
 _BEST = 4
 _CONCENTRATIONS = 2
+_TURNS = 0.3  # [D] of what all samples turn about a second axis, that those of a hypothesis keep
 _MEDIAN_NORM = 1.5382  # median length of a 3-vector of unit normals
 _GROWTH = 2.0
 _STEPS = 3  # of Gauss-Newton a round: the weights move on before more of them pay
@@ -99,7 +100,7 @@ def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Consens
     for _ in range(_ROUNDS):
         weights = _truncated_weights(squares, threshold, mu)
         if (weights > 0.5).sum() < 3:  # the surrogate has let go of nearly all: keep the best half
-            weights = (squares <= np.sort(squares)[(n + 4) // 2 - 1]).astype(float)
+            weights = agreeing(p.H, squares, (n + 4) // 2)
         X, Z = _refined(p, setup, noise, weights, (X, Z))
         squares = normalised_squares(p, setup, noise, X, Z)
         settled = bool(((weights < 1e-9) | (weights > 1.0 - 1e-9)).all())
@@ -144,6 +145,9 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     n = len(p.H)
     majority = (n + 4) // 2
     weights = triple_weights(n)
+    least = _TURNS * second_turn(p.H)
+    turning = np.array([second_turn(p.H[triple > 0.5]) >= least for triple in weights])
+    weights = weights[turning] if turning.any() else weights
     X, Z = start_of(p, weights)
     turns, shifts = misfits(p, X, Z)
     score = _quantile(turns, majority) * _quantile(shifts, majority)
@@ -153,6 +157,27 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
         raise MeasurementFailed("measurement.hand_eye.no_solution", "no three samples determine the pose")
     small_sample = (1.0 + 5.0 / max(n - 2, 1)) / _MEDIAN_NORM
     return noise_model.beginning(NoiseSource.CAMERA, turn * small_sample, shift * small_sample)
+
+
+def second_turn(H: Array) -> float:
+    """How far the hands H (n, 4, 4) turn about a second axis, rad a sample: 0 where all axes are parallel.
+
+    Samples without it leave X free along the axis, and fit any such X.
+    """
+    turns = stacks.log_so3(H[:, :3, :3] @ H[0, :3, :3].T)
+    return float(np.linalg.svd(turns, compute_uv=False)[1]) / math.sqrt(len(H))
+
+
+def agreeing(H: Array, sizes: Array, count: int) -> Array:
+    """Weights (n,), 1 for the ``count`` samples of least ``sizes``, and as many more as turn about two axes:
+    where most samples share one orientation, the best alone would not."""
+    order = np.argsort(sizes, kind="stable")
+    least = _TURNS * second_turn(H)
+    while count < len(order) and second_turn(H[order[:count]]) < least:
+        count += 1
+    weights = np.zeros(len(order))
+    weights[order[:count]] = 1.0
+    return weights
 
 
 def triple_weights(n: int) -> Array:
@@ -180,8 +205,7 @@ def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, majority: int) -> 
         turn, shift = _quantile(turns, majority), _quantile(shifts, majority)
         noise = Noise(max(float(turn), 1e-9), max(float(shift), 1e-9))
         size = (turns / noise.camera_rotation) ** 2 + (shifts / noise.camera_translation) ** 2
-        weights = np.zeros(len(size))
-        weights[np.argsort(size, kind="stable")[:majority]] = 1.0
+        weights = agreeing(p.H, size, majority)
         X, Z = _refined(p, setup, noise, weights, (X, Z))
     turns, shifts = misfits(p, X, Z)
     return float(_quantile(turns, majority)), float(_quantile(shifts, majority))

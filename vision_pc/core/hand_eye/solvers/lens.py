@@ -21,19 +21,23 @@ from vision_pc.core.se3 import Array
 
 FOCAL_STD = 0.002  # [E] relative; calibrations of one camera by different hands agree to 0.1 to 0.3 %
 PRINCIPAL_STD = 0.002  # [E] of the focal length: 1 to 2 px at 720p
+# Radial terms trade between each other, so that k1 stands for all: half a pixel at half of 1000 px.
+DISTORTION_STD = (4e-3, 0.0, 4e-4, 4e-4, 0.0)  # [E] of k1 k2 p1 p2 k3
 _USUAL_FOCAL_PX = 1000.0  # of a camera that nobody described; results do not depend on it
 _HALF_SIDE = 0.1  # of a target whose corners nobody gave, over its distance
 _PARAMETERS = 9
 
 
 def usual(K: Array | None = None, distortion: Array | None = None) -> KnownLens:
-    """A lens known as well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad."""
+    """A lens known as well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad, distortion to
+    half a pixel."""
     if K is None:
         K = np.diag([_USUAL_FOCAL_PX, _USUAL_FOCAL_PX, 1.0])
     f = np.array([K[0, 0], K[1, 1]])
-    common = np.zeros((4, 4))  # both focal lengths are off by the same share
-    common[:2, :2] = np.outer(FOCAL_STD * f, FOCAL_STD * f)
-    common[2:, 2:] = np.diag((PRINCIPAL_STD * f) ** 2)
+    common = np.zeros((_PARAMETERS, _PARAMETERS))
+    common[:2, :2] = np.outer(FOCAL_STD * f, FOCAL_STD * f)  # both focal lengths are off by the same share
+    common[2:4, 2:4] = np.diag((PRINCIPAL_STD * f) ** 2)
+    common[4:, 4:] = np.diag(np.square(DISTORTION_STD))
     return KnownLens(K, np.zeros(5) if distortion is None else distortion, common)
 
 
@@ -66,7 +70,7 @@ def widened(pairs: PosePairs, result: HandEyeResult) -> HandEyeResult:
         lens = usual() if corners is None else usual(corners.K, corners.distortion)
         notes += (
             f"camera_covariance is not given: focal length taken as known to {100.0 * FOCAL_STD:g} %, "
-            f"principal point to {100.0 * PRINCIPAL_STD:g} % of it",
+            f"principal point to {100.0 * PRINCIPAL_STD:g} % of it, k1 to {DISTORTION_STD[0]:g}",
         )
     of_lens = share(pairs, result, lens)
     return replace(result, covariance=result.covariance + of_lens, of_lens=of_lens, notes=notes)
