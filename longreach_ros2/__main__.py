@@ -66,14 +66,14 @@ def _check_ros() -> None:
 
 
 def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
-    from longreach_ros2 import running  # rclpy is imported here alone
-
     overrides = parse_overrides(arguments.set)
     if arguments.controller is not None:
         overrides = merged(overrides, {"vision": {"link": _address(arguments.controller)}})
     files = arguments.config_dir
     arm = load(NominalArm, files / "arm.yaml", overrides.get("arm"))
     config = load(VisionConfig, files / "vision.yaml", overrides.get("vision"))
+    from longreach_ros2 import running  # rclpy is imported here alone
+
     with process_log(_NAME) as log:
         if arguments.watch is None:
             running.drive(arm, config, log, for_ros, tf=not arguments.no_tf, camera=arguments.camera)

@@ -39,6 +39,7 @@ async def live_messages(url: str, wanted: Collection[str]) -> AsyncIterator[Live
         async with connect(url, subprotocols=[_SUBPROTOCOL], max_size=None) as connection:
             async for one in _read(connection, wanted):
                 yield one
+        raise LinkLost("link.no_live_face", f"live face at {url}: it has ended")
     except InvalidURI as error:
         raise ConfigurationError("configuration.bad_value", f"--watch {url!r}: {error}") from error
     except (OSError, ConnectionClosed) as error:

@@ -14,6 +14,7 @@ from protocol.reference_messages import ReferencePath, ReferencePose
 
 # [D] A stamp is of this machine's clock if it is at most so much older or newer than now.
 OLDEST_NS, NEWEST_NS = 250_000_000, 50_000_000
+_SET_NS = 1_000_000  # the system's clock was set, or has drifted as far
 _NORM = 1e-3  # as clause 1.5 of the protocol
 _NS = 1_000_000_000
 
@@ -22,13 +23,18 @@ class RosTime:
     """ROS time, which is the system's, beside the monotonic clock of the link; both in ns."""
 
     def __init__(self, offset_ns: int | None = None) -> None:
-        """``offset_ns``: ROS time minus monotonic time; None: as the system's clock is set at each call."""
-        self._offset_ns = offset_ns
+        """``offset_ns``: ROS time minus monotonic time; None: as the system's clock is set, to 1 ms."""
+        self._fixed = offset_ns is not None
+        self._offset_ns = offset_ns or 0
 
     @property
     def offset_ns(self) -> int:
-        """ROS time minus monotonic time."""
-        return time.time_ns() - time.monotonic_ns() if self._offset_ns is None else self._offset_ns
+        """ROS time minus monotonic time: the same for one instant, whenever it is asked for."""
+        if not self._fixed:
+            now_ns = time.time_ns() - time.monotonic_ns()
+            if abs(now_ns - self._offset_ns) > _SET_NS:
+                self._offset_ns = now_ns
+        return self._offset_ns
 
     def of(self, monotonic_ns: int) -> tuple[int, int]:
         """Seconds and nanoseconds of a ROS stamp for a monotonic time."""

@@ -182,6 +182,7 @@ def test_a_topic_that_goes_on_after_a_stop_moves_nothing_until_it_pauses(driven:
     assert driven.link.state.X_BT_cmd.p_m[1] > rests[1] + 0.01
 
 
+@pytest.mark.slow("eight seconds of the machine")
 def test_commands_of_joints_open_a_stream_again_by_enabling(driven: Driven) -> None:
     def hold(_: int) -> Any:
         return joints(driven.home)

@@ -1,6 +1,7 @@
 """Poses, twists and stamps of ROS as references of the link."""
 
 import math
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -74,6 +75,17 @@ def test_a_stamp_is_brought_to_the_links_clock() -> None:
     said = (NOW_NS + ROS_EPOCH_NS) / 1e9 - 0.1
     assert CLOCK.measured_ns(time_of(said), NOW_NS) == pytest.approx(NOW_NS - 100_000_000, abs=1000)
     assert CLOCK.of(NOW_NS) == divmod(NOW_NS + ROS_EPOCH_NS, 10**9)
+
+
+def test_an_instant_has_one_stamp_until_the_clock_is_set(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, sets_ns = RosTime(), iter([0, 900_000, -900_000, 2_000_000, 2_100_000])
+    monkeypatch.setattr(time, "monotonic_ns", lambda: NOW_NS)
+    monkeypatch.setattr(time, "time_ns", lambda: NOW_NS + ROS_EPOCH_NS + next(sets_ns))
+    first, second, third, set_anew, after = (clock.of(NOW_NS) for _ in range(5))
+    assert first == second == third
+    assert set_anew == after != first
 
 
 @pytest.mark.parametrize("off_s", [-0.3, 0.1, 3600.0, -ROS_EPOCH_NS / 1e9])
