@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from concurrent.futures import CancelledError
 from functools import partial
 from typing import Any
 
@@ -101,7 +102,10 @@ class DriveNode(Node):  # type: ignore[misc]
 
     def _followed(self, handle: ServerGoalHandle) -> Any:
         """In a thread of the executor, which waits for the motion."""
-        outcome = asyncio.run_coroutine_threadsafe(self._outcome(handle), self._loop).result()
+        try:
+            outcome = asyncio.run_coroutine_threadsafe(self._outcome(handle), self._loop).result()
+        except CancelledError:
+            outcome = GoalOutcome(code_of(""), "the node has ended: the arm is stopped")
         if outcome.cancelled:
             handle.canceled()
         elif outcome.code == SUCCESSFUL:

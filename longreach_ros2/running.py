@@ -31,6 +31,7 @@ from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 
 _THREADS = 6  # four services, the action, and topics beside them
 _STATE_PERIOD_MS = 10
+_STOP_S = 2.0
 
 
 def drive(
@@ -67,8 +68,18 @@ async def _drive(
             await camera.start()
             await asked_to_end(show(camera, config, node, ros_time))
             await camera.close()
+        await _end_goals()
         await endpoint.close()
     log.write("stopped")
+
+
+async def _end_goals() -> None:
+    """Stop what is being followed, while the link is there; else the executor waits for it for ever."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    if others:
+        await asyncio.wait(others, timeout=_STOP_S)
 
 
 async def _watch(url: str, log: EventLog) -> None:

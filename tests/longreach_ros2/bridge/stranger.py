@@ -39,7 +39,7 @@ class Stranger(Node):
         for kind, topic in ((PoseStamped, "/longreach/tool_pose"), (DiagnosticArray, "/diagnostics")):
             self.create_subscription(kind, topic, partial(self.newest.__setitem__, topic), 10)
         self.create_subscription(TFMessage, "/tf", self.heard_tree, 100)
-        self.client = ActionClient(self, FollowJointTrajectory, "/arm_controller/follow_joint_trajectory")
+        self.client = None
         self.topics = {
             name: self.create_publisher(kind, name, 10)
             for name, kind in (
@@ -131,11 +131,19 @@ class Stranger(Node):
 
     def send(self, tolerance=0.0, **trajectory):
         """Send a goal; it runs on return."""
+        action = "/arm_controller/follow_joint_trajectory"
+        self.client = self.client or ActionClient(self, FollowJointTrajectory, action)
         assert self.client.wait_for_server(PATIENCE_S)
         goal = FollowJointTrajectory.Goal(trajectory=self.trajectory(**trajectory))
         goal.goal_tolerance = [JointTolerance(name=name, position=tolerance) for name in NAMES if tolerance]
         self.goal = finished(self.client.send_goal_async(goal))
         return self.goal.accepted
+
+    def forget(self):
+        """Be no client of the action any more."""
+        if self.client is not None:
+            self.client.destroy()
+            self.client = None
 
     def result(self):
         answer = finished(self.goal.get_result_async(), 120.0)

@@ -143,6 +143,29 @@ def test_another_domain_sees_nothing(talk: Talk) -> None:
     assert talk.wait(within_s=10.0)
 
 
+@pytest.mark.slow("DDS takes its time to miss a process that was killed")
+def test_a_goal_whose_client_has_gone_is_stopped(enabled: Talk) -> None:
+    here = np.array(at_rest(enabled))
+    enabled.forget()
+    with stranger(DOMAIN) as client:
+        assert client.send(**goal(here - WAY, 90.0))
+        time.sleep(2.0)
+        client.process.kill()
+    end_s = time.monotonic() + 60.0
+    while enabled.status()["group_state"] != "STANDBY":
+        assert time.monotonic() < end_s, enabled.status()
+    assert np.abs(enabled.joints() - here).max() < 0.8 * np.abs(WAY).max()
+
+
+@pytest.mark.slow("three processes start")
+def test_a_node_that_ends_stops_what_it_follows_and_ends(tmp_path: Path) -> None:
+    with bridged(tmp_path, TIMED_DOMAIN) as rig:
+        assert rig.talk.service(name="enable")[0]
+        assert rig.talk.send(**goal(np.array(at_rest(rig.talk)) + WAY, 60.0))
+        rig.process.terminate()
+        assert rig.process.wait(20.0) == 0
+
+
 def stopped_after_ms(records: Path, killed_ns: int) -> float:
     """How long after ``killed_ns`` a valve last had another command than neutral."""
     recording = read_truth(records / "truth.mcap")
