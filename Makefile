@@ -16,6 +16,8 @@ RUN_STAMP := $(VENV)/.stamp-run
 DEV_STAMP := $(VENV)/.stamp-dev
 PEERS_STAMP := $(VENV)/.stamp-peers
 AUDIT := $(VENV)-audit
+ROS := $(VENV)-ros
+ROS_INTERFACES := tests/longreach_ros2/interfaces
 # pip compiles byte code on one core; this does on all (some packages ship files that no Python reads).
 BYTE_CODE = $(BIN)/python -m compileall -q -j 0 $(VENV)/lib > /dev/null || true
 PIP_FLAGS := --quiet --no-compile --no-deps --require-hashes
@@ -37,6 +39,7 @@ LABORATORY := $(addprefix tests/, \
 	foundation/test_compiled.py \
 	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
 		prometheus.py stop_behind_flood.py crashes.py containers.py rest_page.py) \
+	longreach_ros2/bridge \
 	longreach/test_documented.py longreach/test_pages_run.py \
 	plant_emulator/shell/test_plant_process.py \
 	laboratory \
@@ -49,7 +52,7 @@ LABORATORY := $(addprefix tests/, \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
 		$(addprefix shell/test_, api_schema.py target_routes.py)))
 
-.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -106,6 +109,18 @@ foreign-tools:  ## Debian's mbpoll, tshark, C compiler and Aravis (industrial ca
 
 peers: $(PEERS_STAMP)  ## readers and detectors of others, which some tests and benchmarks ask too (two are GPL: never in a dependency)
 
+# The wheels execute every Python of their environment anew, with a library path: so they have one of their own, which
+# finds our packages in the other. A wheel that shares a file with another loses it where pip has written that first.
+$(ROS)/.stamp: requirements-ros.lock $(wildcard $(ROS_INTERFACES)/*.sh $(ROS_INTERFACES)/*/* $(ROS_INTERFACES)/*/*/*) | $(RUN_STAMP)
+	rm -rf $(ROS)
+	$(BIN)/python -m venv $(ROS)
+	$(ROS)/bin/python -m pip install $(PIP_FLAGS) -r requirements-ros.lock
+	echo "import site; site.addsitedir('$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')')" > "$$($(ROS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/longreach_beside.pth"
+	$(ROS_INTERFACES)/install.sh $(ROS)
+	@touch $@
+
+ros-peers: $(ROS)/.stamp  ## ROS 2 in an environment of its own, which tests of the bridge ask (two minutes; needs cmake and a C++ compiler)
+
 prometheus: $(RUN_STAMP)  ## Debian's Prometheus, unpacked and not installed, which the tests let read the figures
 	@test -x $(VENV)/prometheus/usr/bin/prometheus || { cd $(VENV) && apt-get download -qq prometheus && dpkg-deb -x prometheus_*.deb prometheus && rm prometheus_*.deb; } \
 	|| { echo "prometheus: not fetched; nothing reads the figures" >&2; exit 1; }
@@ -157,13 +172,15 @@ audit: $(AUDIT)/.stamp  ## known vulnerabilities of what runs; status 1: there a
 
 # The locks are made from pyproject.toml by uv, in an environment of its own. `requirements.lock` holds the
 # run-time dependencies and the build back end; `requirements-dev.lock` adds the tools of the tests,
-# `requirements-peers.lock` what the benchmarks compare with; `requirements-audit.lock` is of its own.
+# `requirements-peers.lock` what the benchmarks compare with; `requirements-audit.lock` and `requirements-ros.lock`
+# are of environments of their own.
 lock:  ## resolve pyproject.toml again into both lock files
 	"$(PYTHON)" -m venv $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group laboratory $(LOCK_FLAGS) -o requirements.lock
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group laboratory --group dev -c requirements.lock $(LOCK_FLAGS) -o requirements-dev.lock
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group peers -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-peers.lock
+	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:ros -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-ros.lock
 	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:audit $(LOCK_FLAGS) -o requirements-audit.lock
 	rm -rf $(VENV)-lock
 
@@ -171,6 +188,6 @@ page-vendor: $(RUN_STAMP)  ## the libraries of our pages, made again from the np
 	$(BIN)/python -m tools.page_vendor
 
 clean:  ## remove the virtual environment and every cache
-	rm -rf $(VENV) $(AUDIT) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(AUDIT) $(ROS) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks
 	rm -rf "$${NUMBA_CACHE_DIR:-$${XDG_CACHE_HOME:-$$HOME/.cache}/longreach/kernels}"
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -89,6 +89,29 @@ def to_csv(
     write_json(json_file, {"rows": rows, "topics": topics, "left_out": left_out})
 
 
+@app.command("pictures", epilog="Example: longreach recording pictures drive.mcap --out drive")
+def pictures_command(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A ROS bag: a directory, .mcap, .db3 or .bag.")],
+    directory: Annotated[Path, typer.Option("--out", help="Where left/, right/ and calibration.yaml go.")],
+    left: Annotated[str | None, typer.Option(help="Topic of the left eye's pictures.")] = None,
+    right: Annotated[str | None, typer.Option(help="Topic of the right eye's pictures.")] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Write a ROS bag's stereo pictures as the directories that odometry, camera check and hand-eye read."""
+    from testbed.recordings.bags import extract_pictures
+    from testbed.reporting.console import bars
+
+    with bars() as shown, shown.step("reading the bag") as bar:
+        found = extract_pictures(bag, (left, right), promised(directory), bar.update)
+    for note in found.pairs.notes:
+        out.print(note, highlight=False, soft_wrap=True)
+    lens = found.calibration or "no calibration: pictures are raw, or have no camera_info"
+    told = f"{len(found.pairs.files)} pairs of {found.topics[0]} and {found.topics[1]} in {directory}; {lens}"
+    out.print(told, highlight=False, soft_wrap=True)
+    figures = {"pairs": len(found.pairs.files), "topics": found.topics, "notes": found.pairs.notes}
+    write_json(json_file, figures | {"calibration": found.calibration})
+
+
 @app.command("merge", epilog="Example: longreach recording merge runs/demo --out session.mcap")
 def merge_command(
     what: Annotated[

@@ -25,7 +25,8 @@ class TreeJoint(NamedTuple):
 
     ``X_PJ`` (4, 4) is the joint's frame at angle zero in the frame of the link before, ``axis`` (3,) lies in
     the joint's frame, in which ``body`` is given too (mass 0: none is known). ``limits`` rad, ``speed``
-    rad/s (None: not known), ``stiffness`` N m/rad, ``damping`` N m s/rad. ``locked``: it does not turn.
+    rad/s and ``effort`` N m (None: not known), ``stiffness`` N m/rad, ``damping`` N m s/rad. ``locked``: it
+    does not turn.
     """
 
     name: str
@@ -33,16 +34,26 @@ class TreeJoint(NamedTuple):
     axis: Array
     limits: tuple[float, float]
     speed: float | None = None
+    effort: float | None = None
     stiffness: float = 0.0
     damping: float = 0.0
     body: Lump = NOTHING
     locked: bool = False
 
 
+class TreeFrame(NamedTuple):
+    """A frame called ``name`` on a link or frame called ``parent``; ``X_PF`` (4, 4): its pose in that."""
+
+    name: str
+    parent: str
+    X_PF: Array
+
+
 class ArmTree(NamedTuple):
     """An arm: ``X_LT`` (4, 4) is the tool centre point T in the last link, ``gravity`` (3,) m/s² in B.
 
-    ``about`` says in words what the arm is, and what of it is left out.
+    ``about`` says in words what the arm is, and what of it is left out. ``frames``: what else it carries;
+    ``collides``: its rods are to be kept apart; both of URDF alone.
     """
 
     name: str
@@ -50,6 +61,8 @@ class ArmTree(NamedTuple):
     X_LT: Array
     gravity: Array
     about: str
+    frames: tuple[TreeFrame, ...] = ()
+    collides: bool = False
 
 
 def nominal_tree(arm: NominalArm) -> ArmTree:
@@ -122,9 +135,9 @@ def _true_joint(model: Model, i: int, name: str, arm: NominalArm) -> TreeJoint:
         mechanism.axis[i],
         limits,
         speed,
-        float(mechanism.stiffness[i]),
-        float(mechanism.damping[i]),
-        body if body.mass > 0.0 else NOTHING,
+        stiffness=float(mechanism.stiffness[i]),
+        damping=float(mechanism.damping[i]),
+        body=body if body.mass > 0.0 else NOTHING,
         locked=mechanism.free[i] == 0.0,
     )
 
@@ -170,11 +183,17 @@ def rod_end(tree: ArmTree, index: int) -> Array | None:
 
 
 BASE = "base"
-_UNLIMITED = (
-    1e9  # N m and rad/s: URDF asks for both of every joint; the oil's pressure limits them, not the joint
-)
+_TOPICS = {
+    "joint_commands_topic": "/longreach/joint_commands",
+    "joint_states_topic": "/joint_states",
+    "trigger_joint_command_threshold": "-1",  # every command, also one that holds: silence is a fault here
+}
+_INTERFACES = (("command", "position"), ("command", "velocity"), ("state", "position"))
+_UNLIMITED = 1e9  # N m and rad/s: URDF asks for both of every joint, also where nobody knows them
 # For MuJoCo's reader, which would else melt the tool into the last link and refuse links without mass.
-_FOR_MUJOCO = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
+_FOR_MUJOCO = {
+    "fusestatic": "false", "discardvisual": "false", "balanceinertia": "false", "inertiafromgeom": "false",
+}  # fmt: skip
 _LEAST_MASS, _LEAST_INERTIA = 1e-9, 1e-9  # kg, kg m²: nothing beside the lightest body, enough to be read
 
 
@@ -195,12 +214,33 @@ def urdf(tree: ArmTree) -> str:
         end = rod_end(tree, i)
         if end is not None:
             _add_rod(link, end)
+            if tree.collides:
+                _add_capsule(link, end)
         _add_joint(robot, joint, before)
         before = f"{joint.name}_link"
     etree.SubElement(robot, "link", name=TOOL)
     fixed = etree.SubElement(robot, "joint", name="tool_mount", type="fixed")
     _add_place(fixed, tree.X_LT, before, TOOL)
+    for frame in tree.frames:
+        etree.SubElement(robot, "link", name=frame.name)
+        mount = etree.SubElement(robot, "joint", name=f"{frame.name}_mount", type="fixed")
+        _add_place(mount, frame.X_PF, frame.parent, frame.name)
+    if tree.frames:
+        _add_ros2_control(robot, tree)
     return document(robot, tree)
+
+
+def _add_ros2_control(robot: etree.Element, tree: ArmTree) -> None:
+    """The block by which ros2_control drives the arm over topics (docs/ros2.md)."""
+    system = etree.SubElement(robot, "ros2_control", name=tree.name, type="system")
+    hardware = etree.SubElement(system, "hardware")
+    etree.SubElement(hardware, "plugin").text = "joint_state_topic_hardware_interface/JointStateTopicSystem"
+    for name, value in _TOPICS.items():
+        etree.SubElement(hardware, "param", name=name).text = value
+    for joint in tree.joints:
+        element = etree.SubElement(system, "joint", name=joint.name)
+        for kind, interface in _INTERFACES:
+            etree.SubElement(element, f"{kind}_interface", name=interface)
 
 
 def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
@@ -224,8 +264,8 @@ def _add_joint(robot: etree.Element, joint: TreeJoint, parent: str) -> None:
         return
     etree.SubElement(element, "axis", xyz=numbers(joint.axis))
     lower, upper = map(repr, joint.limits)
-    speed = repr(_UNLIMITED if joint.speed is None else joint.speed)
-    etree.SubElement(element, "limit", lower=lower, upper=upper, effort=repr(_UNLIMITED), velocity=speed)
+    speed, effort = (repr(_UNLIMITED if most is None else most) for most in (joint.speed, joint.effort))
+    etree.SubElement(element, "limit", lower=lower, upper=upper, effort=effort, velocity=speed)
     if joint.damping > 0.0:
         etree.SubElement(element, "dynamics", damping=repr(joint.damping))
 
@@ -244,10 +284,19 @@ def _add_inertial(link: etree.Element, body: Lump) -> None:
     etree.SubElement(inertial, "inertia", {key: repr(float(body.inertia[at])) for key, at in places.items()})
 
 
-def _add_rod(link: etree.Element, end: Array) -> None:
+def _add_capsule(link: etree.Element, end: Array) -> None:
+    """What collides: the rod, and a ball at each of its ends, since URDF has no capsules."""
+    _add_rod(link, end, "collision")
+    for place in (np.zeros(3), end):
+        ball = etree.SubElement(link, "collision")
+        etree.SubElement(ball, "origin", xyz=numbers(place), rpy="0 0 0")
+        etree.SubElement(etree.SubElement(ball, "geometry"), "sphere", radius=repr(RADIUS_M))
+
+
+def _add_rod(link: etree.Element, end: Array, kind: str = "visual") -> None:
     """A cylinder from the link's origin to ``end``."""
     x, y, z = (float(value) for value in end)
-    visual = etree.SubElement(link, "visual")
+    visual = etree.SubElement(link, kind)
     turned = (0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x))
     etree.SubElement(visual, "origin", xyz=numbers(0.5 * end), rpy=numbers(turned))
     geometry = etree.SubElement(visual, "geometry")

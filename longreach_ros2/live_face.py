@@ -1,0 +1,78 @@
+"""A viewer of the services' live face (docs/live.md): it asks for topics and gets their messages; no ROS."""
+
+import base64
+import json
+import struct
+import time
+from collections.abc import AsyncIterator, Collection
+from typing import Any, NamedTuple
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidURI
+from websockets.typing import Subprotocol
+
+from protocol.errors import ConfigurationError, LinkLost
+
+_SUBPROTOCOL = Subprotocol("foxglove.sdk.v1")
+_HEAD = struct.Struct("<BIQ")
+_MESSAGE_DATA = 1
+# [D] A message older or newer than this by our monotonic clock is of another machine's.
+_OLDEST_NS, _NEWEST_NS = 60_000_000_000, 1_000_000_000
+
+
+class LiveMessage(NamedTuple):
+    """One message: its topic, the monotonic time at which its service logged it, and what it says."""
+
+    topic: str
+    log_ns: int
+    message: Any
+
+
+async def live_messages(url: str, wanted: Collection[str]) -> AsyncIterator[LiveMessage]:
+    """The messages of ``wanted`` topics, as services come and go, over one connection.
+
+    Raises ConfigurationError for an address that is none, LinkLost (``link.no_live_face``) when nobody
+    answers or the face ends, (``link.other_clock``) when it is another machine's.
+    """
+    try:
+        async with connect(url, subprotocols=[_SUBPROTOCOL], max_size=None) as connection:
+            async for one in _read(connection, wanted):
+                yield one
+        raise LinkLost("link.no_live_face", f"live face at {url}: it has ended")
+    except InvalidURI as error:
+        raise ConfigurationError("configuration.bad_value", f"--watch {url!r}: {error}") from error
+    except (OSError, ConnectionClosed) as error:
+        raise LinkLost("link.no_live_face", f"live face at {url}: {error}") from error
+
+
+async def _read(connection: ClientConnection, wanted: Collection[str]) -> AsyncIterator[LiveMessage]:
+    known: dict[int, tuple[str, Any]] = {}
+    async for said in connection:
+        if isinstance(said, bytes):
+            opcode, number, log_ns = _HEAD.unpack_from(said)
+            if opcode == _MESSAGE_DATA and number in known:
+                topic, made = known[number]
+                _check_clock(topic, log_ns)
+                yield LiveMessage(topic, log_ns, made.FromString(said[_HEAD.size :]))
+            continue
+        document = json.loads(said)
+        if document["op"] == "advertise":
+            new = [channel for channel in document["channels"] if channel["topic"] in wanted]
+            known |= {channel["id"]: (channel["topic"], _class_of(channel)) for channel in new}
+            asked = [{"id": channel["id"], "channelId": channel["id"]} for channel in new]
+            await connection.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+
+
+def _check_clock(topic: str, log_ns: int) -> None:
+    age_ns = time.monotonic_ns() - log_ns
+    if not -_NEWEST_NS <= age_ns <= _OLDEST_NS and "calibration" not in topic:
+        words = f"{topic} is {1e-9 * age_ns:.0f} s old by this machine's clock"
+        raise LinkLost("link.other_clock", f"{words}: run the node where the services run")
+
+
+def _class_of(channel: dict[str, Any]) -> Any:
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"])).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))

@@ -1,0 +1,90 @@
+"""Poses, frames, joints and pictures as messages of ROS."""
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from tf2_msgs.msg import TFMessage
+
+from longreach_ros2.kinematics import BASE, Array
+from longreach_ros2.references import as_pose
+from nominal_arm.description import JOINT_NAMES
+from protocol.pose import Pose
+
+DEPTH = 10
+PICTURES: QoSProfile = qos_profile_sensor_data
+Stamp = tuple[int, int]
+
+
+def joint_state(q: Sequence[float], stamp: Stamp) -> Any:
+    """Angles of our six joints, rad."""
+    return stamped(JointState(name=list(JOINT_NAMES), position=list(q)), BASE, stamp)
+
+
+def pose_stamped(pose: Pose, frame: str, stamp: Stamp) -> Any:
+    """A pose in ``frame``."""
+    message = stamped(PoseStamped(), frame, stamp)
+    _fill(message.pose.position, message.pose.orientation, pose)
+    return message
+
+
+def chain(frames: dict[str, Array], stamp: Stamp) -> Any:
+    """Each of ``frames`` (X_BF by name) in the one before."""
+    found = []
+    for (before, X), (name, Y) in pairwise(frames.items()):
+        R = X[:3, :3].T
+        Z = Y.copy()
+        Z[:3, :3], Z[:3, 3] = R @ Y[:3, :3], R @ (Y[:3, 3] - X[:3, 3])
+        found.append(transform(as_pose(Z), before, name, stamp))
+    return TFMessage(transforms=found)
+
+
+def transform(pose: Pose, frame: str, child: str, stamp: Stamp) -> Any:
+    """Frame ``child`` in ``frame``."""
+    message = stamped(TransformStamped(child_frame_id=child), frame, stamp)
+    _fill(message.transform.translation, message.transform.rotation, pose)
+    return message
+
+
+def posed(said: Any) -> Pose:
+    """The pose of a ``foxglove.FrameTransform``."""
+    p, q = said.translation, said.rotation
+    return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
+
+
+def image(said: Any, stamp: Stamp) -> Any:
+    """A ``foxglove.RawImage`` or ``CompressedImage`` as ROS has it."""
+    if hasattr(said, "format"):
+        return stamped(CompressedImage(format=said.format, data=said.data), said.frame_id, stamp)
+    message = Image(height=said.height, width=said.width, encoding=said.encoding, step=said.step)
+    message.data.frombytes(said.data)
+    return stamped(message, said.frame_id, stamp)
+
+
+def camera_info(said: Any, stamp: Stamp) -> Any:
+    """A ``foxglove.CameraCalibration`` as ROS has it."""
+    message = CameraInfo(height=said.height, width=said.width, distortion_model=said.distortion_model)
+    message.d, message.k, message.r, message.p = list(said.D), list(said.K), list(said.R), list(said.P)
+    return stamped(message, said.frame_id, stamp)
+
+
+def stamped(message: Any, frame: str, stamp: Stamp) -> Any:
+    """``message`` with its header."""
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = stamp
+    return message
+
+
+def transforms(said: Iterable[Any], stamp: Stamp) -> Any:
+    """A ``foxglove.FrameTransforms`` as ROS has it."""
+    return TFMessage(
+        transforms=[transform(posed(one), one.parent_frame_id, one.child_frame_id, stamp) for one in said]
+    )
+
+
+def _fill(position: Any, orientation: Any, pose: Pose) -> None:
+    position.x, position.y, position.z = pose.p_m
+    orientation.w, orientation.x, orientation.y, orientation.z = pose.q_wxyz

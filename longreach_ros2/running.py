@@ -1,0 +1,143 @@
+"""The nodes as processes: an event loop for the link or the live face, and ROS's executor in a thread."""
+
+import asyncio
+import threading
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+import uvloop
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from foundation.event_log import EventLog
+from foundation.service_main import say_ready, when_asked_to_end
+from longreach_ros2.camera import show
+from longreach_ros2.drive import ArmDrive
+from longreach_ros2.drive_node import DriveNode
+from longreach_ros2.live_face import live_messages
+from longreach_ros2.references import RosTime
+from longreach_ros2.watch_node import TOPICS, WatchNode
+from nominal_arm.description import NominalArm
+from nominal_arm.dimensions import joint_ranges
+from protocol.errors import ConfigurationError
+from vision_pc.application.link_arm import LinkArm
+from vision_pc.config.vision import VisionConfig
+from vision_pc.shell.camera_eyes import MonotonicClock
+from vision_pc.shell.cameras import CameraSource, open_camera
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+
+_THREADS = 6  # four services, the action, and topics beside them
+_STATE_PERIOD_MS = 10
+_STOP_S = 2.0
+
+
+def drive(
+    arm: NominalArm, config: VisionConfig, log: EventLog, for_ros: list[str], *, tf: bool, camera: bool
+) -> None:
+    """ArmDrive the arm until asked to end; with ``camera`` show its pictures too.
+
+    Raises LinkLost for an address that is none, ConfigurationError.
+    """
+    _run(_drive(arm, config, log, tf, open_camera(config.camera) if camera else None), for_ros)
+
+
+def watch(url: str, log: EventLog, for_ros: list[str]) -> None:
+    """Publish what the live face at ``url`` shows, until asked to end. Raises as ``live_messages``."""
+    _run(_watch(url, log), for_ros)
+
+
+async def _drive(
+    arm: NominalArm, config: VisionConfig, log: EventLog, tf: bool, camera: CameraSource | None
+) -> None:
+    settings = config.link.model_copy(update={"state_period_ms": _STATE_PERIOD_MS})
+    clock, ros_time = MonotonicClock(), RosTime()
+    endpoint = UdpEndpoint(settings, settings.expected_arm(arm), log, clock)
+    link = endpoint.link
+    link.ranges = joint_ranges(arm)
+    driven = ArmDrive(link, LinkArm(link, config.motion), arm, clock, ros_time)
+    await endpoint.start()
+    node = DriveNode(asyncio.get_running_loop(), driven, arm.name, tf)
+    with spinning(node):
+        say_ready("longreach_ros2", controller={"host": settings.host, "port": settings.port})
+        if camera is None:
+            await asked_to_end(None)
+        else:
+            await camera.start()
+            await asked_to_end(show(camera, config, node, ros_time))
+            await camera.close()
+        await _end_goals()
+        await endpoint.close()
+    log.write("stopped")
+
+
+async def _end_goals() -> None:
+    """Stop what is being followed, while the link is there; else the executor waits for it for ever."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    if others:
+        await asyncio.wait(others, timeout=_STOP_S)
+
+
+async def _watch(url: str, log: EventLog) -> None:
+    node = WatchNode(RosTime())
+
+    async def shown() -> None:
+        async for message in live_messages(url, TOPICS):
+            node.show(message)
+
+    with spinning(node):
+        say_ready("longreach_ros2", watch=url)
+        await asked_to_end(shown())
+    log.write("stopped")
+
+
+async def asked_to_end(beside: Coroutine[Any, Any, None] | None) -> None:
+    """Return on SIGTERM or SIGINT, or raise what ``beside`` raises before."""
+    end = asyncio.Event()
+    when_asked_to_end(end.set)
+    waiting = asyncio.ensure_future(end.wait())
+    tasks = {waiting} if beside is None else {waiting, asyncio.ensure_future(beside)}
+    done, left = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in left:
+        task.cancel()
+    for task in done:
+        task.result()
+
+
+@contextmanager
+def spinning(node: Node) -> Iterator[None]:
+    """A block in which the node's callbacks are served.
+
+    Raises ConfigurationError for ``use_sim_time``: nobody here publishes /clock.
+    """
+    if node.get_parameter("use_sim_time").value:
+        raise ConfigurationError("configuration.no_clock", "use_sim_time: the link's times are the machine's")
+    executor = MultiThreadedExecutor(_THREADS)
+    executor.add_node(node)
+    thread = threading.Thread(target=_spin, args=(executor,), name="ros", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        executor.shutdown(timeout_sec=1.0)
+        thread.join(1.0)
+
+
+def _spin(executor: MultiThreadedExecutor) -> None:
+    try:
+        executor.spin()
+    except ExternalShutdownException:
+        return
+
+
+def _run(work: Coroutine[Any, Any, None], for_ros: list[str]) -> None:
+    rclpy.init(args=for_ros, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            runner.run(work)
+    finally:
+        rclpy.try_shutdown()

@@ -1,0 +1,197 @@
+"""A joint trajectory as ROS says it: checked whole before anything moves, then read at any time."""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import BPoly
+
+from longreach_ros2.kinematics import Array
+from nominal_arm.description import JOINT_NAMES, NominalArm
+from nominal_arm.dimensions import joint_ranges
+from protocol.errors import RequestRefused
+
+MOST_POINTS, LONGEST_S = 10_000, 3600.0
+START_RAD = 0.01  # [D] of where the joints are commanded to be: as far as a first point at time 0 may be off
+AT_REST_RAD_S = 1e-3  # [D] the last point's speed, below which it is rest
+_STEP_S = 0.02  # between samples at which ranges and speeds are checked: the period of the references
+_ROUNDING = 1e-6
+_JOINTS = len(JOINT_NAMES)
+
+
+class JointPath:
+    """Joint angles over time, from 0 to ``duration_s``; at rest at ``goal`` (6,), rad, from there on.
+
+    ``curve`` is the piecewise polynomial through the points; joints in the order of JOINT_NAMES.
+    """
+
+    def __init__(self, curve: BPoly, duration_s: float) -> None:
+        self._curve = curve
+        self._rate = curve.derivative()
+        self.duration_s = duration_s
+        self.goal: Array = np.asarray(curve(duration_s))
+
+    def at(self, time_s: float) -> tuple[Array, Array]:
+        """Angles (6,), rad, and their rates (6,), rad/s, at ``time_s``."""
+        if time_s >= self.duration_s:
+            return self.goal, np.zeros(_JOINTS)
+        return np.asarray(self._curve(time_s)), np.asarray(self._rate(time_s))
+
+
+class Limits(NamedTuple):
+    """What the joints may do: ``ranges`` (6, 2) rad, ``speeds`` (6,) rad/s."""
+
+    ranges: Array
+    speeds: Array
+
+
+def limits_of(arm: NominalArm) -> Limits:
+    """The ranges and speeds of arm.yaml."""
+    speeds = [math.radians(joint.speed_deg_s) for joint in arm.joints]
+    return Limits(np.array(list(joint_ranges(arm).values())), np.array(speeds))
+
+
+def refused(what: str, words: str) -> RequestRefused:
+    """The error for something that ROS asked and the bridge does not pass on; its cause names ``what``."""
+    return RequestRefused(f"refused.ros_{what}", words)
+
+
+def joint_path(message: Any, q_cmd: Sequence[float], limits: Limits) -> JointPath:
+    """The path that a ``trajectory_msgs/JointTrajectory`` describes, from joints commanded to ``q_cmd``, rad.
+
+    Between points: cubic by positions and velocities, quintic where both ends have accelerations. A first
+    point later than 0 is reached from rest at ``q_cmd``. Raises RequestRefused that names the first thing
+    that is wrong; nothing is resampled, cut or slowed down.
+    """
+    order = joint_order(message.joint_names)
+    points = list(message.points)
+    if not 1 <= len(points) <= MOST_POINTS:
+        raise refused("points", f"{len(points)} points, at least 1 and at most {MOST_POINTS} are followed")
+    times = [_seconds(point.time_from_start) for point in points]
+    rows = [_rows(number, point, order) for number, point in enumerate(points)]
+    _check_times(times)
+    _check_rest(rows[-1][1])
+    start = np.asarray(q_cmd, dtype=np.float64)
+    if times[0] > 0.0:
+        times, rows = [0.0, *times], [[start, np.zeros(_JOINTS)], *rows]
+    _check_start(rows[0][0], start)
+    if len(times) == 1:
+        times, rows = [0.0, _STEP_S], [rows[0], [rows[0][0], np.zeros(_JOINTS)]]
+    path = JointPath(BPoly.from_derivatives(times, rows), times[-1])
+    _check_limits(path, limits)
+    return path
+
+
+def joint_order(names: Iterable[str]) -> list[int]:
+    """Where each of our joints stands among ``names``. Raises RequestRefused unless they are all, once."""
+    said = list(names)
+    missing = [name for name in JOINT_NAMES if name not in said]
+    unknown = [name for name in said if name not in JOINT_NAMES]
+    if missing or unknown or len(said) != _JOINTS:
+        parts = [("missing", missing), ("unknown", unknown)]
+        why = (
+            "; ".join(f"{word}: {', '.join(some)}" for word, some in parts if some) or "some are named twice"
+        )
+        raise refused(
+            "joints", f"joints {', '.join(said) or 'none'}, wanted {', '.join(JOINT_NAMES)} ({why})"
+        )
+    return [said.index(name) for name in JOINT_NAMES]
+
+
+def tolerances(said: Iterable[Any], usual: float) -> Array:
+    """(6,) rad of ``control_msgs/JointTolerance``: 0 means ``usual``, −1 none (infinite).
+
+    Raises RequestRefused for another joint, and for a tolerance of speed or acceleration: neither is judged.
+    """
+    found = dict.fromkeys(JOINT_NAMES, usual)
+    for one in said:
+        if one.name not in found:
+            raise refused("joints", f"tolerance of joint {one.name!r}, wanted {', '.join(JOINT_NAMES)}")
+        if one.velocity > 0.0 or one.acceleration > 0.0:
+            raise refused("tolerance", f"{one.name}: tolerances of velocity and acceleration are not judged")
+        if not math.isfinite(one.position):
+            raise refused("tolerance", f"{one.name}: tolerance {one.position} rad is no finite number")
+        found[one.name] = one.position or usual
+    values = np.array(list(found.values()))
+    return np.where(values < 0.0, np.inf, values)
+
+
+def check_within(what: str, q: Sequence[float], wanted: Array, most: Array) -> None:
+    """Raise RequestRefused if a joint of ``q`` is further from ``wanted`` than ``most``, all (6,) rad.
+
+    ``what``, path or goal, is named, as in the cause ``refused.ros_goal_tolerance``.
+    """
+    off = np.abs(np.asarray(q) - wanted)
+    worst = int(np.argmax(off / most))
+    if off[worst] > most[worst]:
+        words = f"{JOINT_NAMES[worst]} is {1e3 * off[worst]:.2f} mrad off the {what}"
+        raise refused(f"{what}_tolerance", f"{words}, limit {1e3 * most[worst]:.2f} mrad")
+
+
+def _seconds(duration: Any) -> float:
+    return float(duration.sec) + 1e-9 * float(duration.nanosec)
+
+
+def _rows(number: int, point: Any, order: list[int]) -> list[Array]:
+    """Positions, velocities and, if there are any, accelerations of one point, in our joints' order."""
+    if len(point.velocities) == 0:
+        raise refused("velocities", f"point {number} has no velocities: how fast to pass it is not guessed")
+    if len(point.effort) > 0:
+        raise refused("effort", f"point {number} has efforts: forces are not followed")
+    rows = []
+    for name in ("positions", "velocities", "accelerations"):
+        values = np.asarray(getattr(point, name), dtype=np.float64)
+        if name == "accelerations" and len(values) == 0:
+            continue
+        if len(values) != _JOINTS:
+            raise refused("points", f"point {number} has {len(values)} {name}, wanted {_JOINTS}")
+        if not np.all(np.isfinite(values)):
+            raise refused("not_finite", f"point {number}: {name} {values.tolist()} are not all finite")
+        rows.append(values[order])
+    return rows
+
+
+def _check_times(times: list[float]) -> None:
+    if times[0] < 0.0:
+        raise refused("times", f"point 0 is at {times[0]:g} s, before the start")
+    for number, (before, after) in enumerate(pairwise(times), 1):
+        if after <= before:
+            raise refused(
+                "times", f"point {number} is at {after:g} s, not after {before:g} s of the one before"
+            )
+    if times[-1] > LONGEST_S:
+        raise refused("times", f"it takes {times[-1]:g} s, limit {LONGEST_S:g} s")
+
+
+def _check_rest(rate: Array) -> None:
+    joint = int(np.argmax(np.abs(rate)))
+    if abs(rate[joint]) > AT_REST_RAD_S:
+        words = f"it ends with {JOINT_NAMES[joint]} at {rate[joint]:g} rad/s"
+        raise refused("moving_end", f"{words}, limit {AT_REST_RAD_S:g} rad/s: the last point is rest")
+
+
+def _check_start(first: Array, start: Array) -> None:
+    off = np.abs(first - start)
+    joint = int(np.argmax(off))
+    if off[joint] > START_RAD:
+        words = f"it begins {1e3 * off[joint]:.1f} mrad from where {JOINT_NAMES[joint]} is commanded to be"
+        raise refused("start", f"{words}, limit {1e3 * START_RAD:g} mrad")
+
+
+def _check_limits(path: JointPath, limits: Limits) -> None:
+    """Between the points too: a polynomial may swing over them."""
+    count = max(2, math.ceil(path.duration_s / _STEP_S) + 1)
+    for time_s in np.linspace(0.0, path.duration_s, count):
+        q, rate = path.at(float(time_s))
+        below, above = limits.ranges[:, 0] - q, q - limits.ranges[:, 1]
+        joint = int(np.argmax(np.maximum(below, above)))
+        if max(below[joint], above[joint]) > _ROUNDING:
+            end = limits.ranges[joint, 0 if below[joint] > 0.0 else 1]
+            words = f"{JOINT_NAMES[joint]} at {math.degrees(q[joint]):.2f} deg after {time_s:.2f} s"
+            raise refused("joint_limit", f"{words}, limit {math.degrees(end):.2f} deg")
+        joint = int(np.argmax(np.abs(rate) / limits.speeds))
+        if abs(rate[joint]) > limits.speeds[joint] * (1.0 + _ROUNDING):
+            words = f"{JOINT_NAMES[joint]} at {math.degrees(abs(rate[joint])):.2f} deg/s after {time_s:.2f} s"
+            raise refused("too_fast", f"{words}, limit {math.degrees(limits.speeds[joint]):.2f} deg/s")

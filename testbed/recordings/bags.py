@@ -1,0 +1,170 @@
+"""`longreach recording pictures`: stereo pictures of a ROS bag as directories that every reader takes."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import yaml
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection
+from rosbags.typesys import Stores, get_typestore
+
+from protocol.errors import ConfigurationError
+from vision_pc.core.types import Image
+from vision_pc.shell.cameras.picture_files import EyeFiles, eye_files
+
+EYES = ("left", "right")
+CALIBRATION = "calibration.yaml"
+_RAW, _COMPRESSED, _INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
+_CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
+_BAYER = {
+    "bayer_rggb8": cv2.COLOR_BayerBG2GRAY, "bayer_bggr8": cv2.COLOR_BayerRG2GRAY,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY, "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
+}  # fmt: skip
+_GREY: dict[str, int | None] = dict.fromkeys(("mono8", "8UC1"), None) | {
+    "rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "8UC3": cv2.COLOR_BGR2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY, "bgra8": cv2.COLOR_BGRA2GRAY, **_BAYER,
+}  # fmt: skip
+_FROM_S = 1_000_000_000  # 2001: an earlier stamp is no time of a clock that is set
+
+
+class Extracted(NamedTuple):
+    """The topics taken (left, right), the pairs that their pictures make, and the calibration, if written."""
+
+    topics: tuple[str, str]
+    pairs: EyeFiles
+    calibration: Path | None
+
+
+def extract_pictures(
+    bag: Path, asked: tuple[str | None, str | None], target: Path, report: Callable[[float], None]
+) -> Extracted:
+    """Write the pictures of both eyes, named by their stamps, to ``left`` and ``right`` in ``target``.
+
+    ``bag``: of ROS 2 (a directory, .mcap or .db3) or ROS 1. ``asked``: topics, None: the one picture topic
+    with the eye in its name. Rectified eyes whose CameraInfo is there get ``calibration.yaml``. ``report``
+    hears the share that is done. Raises ConfigurationError for what is no bag, has not these topics, or whose
+    eyes no stamps bring together.
+    """
+    with _opened(bag) as reader:
+        connections = [
+            _chosen(bag, reader.connections, eye, topic) for eye, topic in zip(EYES, asked, strict=True)
+        ]
+        taken = [(eye, one) for eye, one in zip(EYES, connections, strict=True)]
+        total = sum(one.msgcount for one in connections)
+        for number, (eye, message) in enumerate(_messages(bag, reader, taken)):
+            path = target / eye / f"{_stamp_of(bag, eye, message)}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not cv2.imwrite(str(path), grey(message, f"{bag}: {eye} eye")):
+                raise ConfigurationError("configuration.unwritable", f"{path}: cannot be written")
+            report((number + 1) / max(total, 1))
+        calibration = _write_calibration(bag, reader, connections, target)
+    left, right = connections[0].topic, connections[1].topic
+    return Extracted((left, right), eye_files(target / "left", target / "right", 1.0), calibration)
+
+
+def grey(message: Any, where: str) -> Image:
+    """The picture (height, width) of a ``sensor_msgs`` Image or CompressedImage in grey.
+
+    Raises ConfigurationError for an encoding of other than 8 bits, and data of another size.
+    """
+    data = np.asarray(message.data, dtype=np.uint8)
+    if hasattr(message, "format"):
+        picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        if picture is None:
+            raise _bad(f"{where}: compressed as {message.format!r}, which is no picture")
+        return np.asarray(picture, dtype=np.uint8)
+    if message.encoding not in _GREY:
+        raise _bad(f"{where}: encoding {message.encoding!r}, known are {', '.join(_GREY)}")
+    channels = _CHANNELS.get(message.encoding, 1)
+    if data.size != message.height * message.step or message.step < message.width * channels:
+        size = f"{message.width} x {message.height} in rows of {message.step}"
+        raise _bad(f"{where}: {data.size} bytes for {size} of {message.encoding}")
+    rows = data.reshape(message.height, message.step)[:, : message.width * channels]
+    picture = rows.reshape(message.height, message.width, channels) if channels > 1 else rows
+    code = _GREY[message.encoding]
+    return np.asarray(picture if code is None else cv2.cvtColor(picture, code), dtype=np.uint8)
+
+
+@contextlib.contextmanager
+def _opened(bag: Path) -> Iterator[AnyReader]:
+    try:
+        with AnyReader([bag], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            yield reader
+    except (AnyReaderError, OSError, AssertionError, ValueError) as error:
+        raise _bad(f"{bag}: no bag of ROS that can be read: {error}") from error
+
+
+def _chosen(bag: Path, connections: Sequence[Connection], eye: str, asked: str | None) -> Connection:
+    """The connection of an eye's pictures. Raises ConfigurationError."""
+    pictures = {one.topic: one for one in connections if one.msgtype in (_RAW, _COMPRESSED)}
+    listed = ", ".join(sorted(pictures)) or "none"
+    if asked is not None:
+        if asked in pictures:
+            return pictures[asked]
+        others = {one.topic: one.msgtype for one in connections}
+        what = f"is of {others[asked]}" if asked in others else "is not in it"
+        raise _bad(f"{bag}: {asked} {what}; topics of pictures: {listed}")
+    named = [one for topic, one in pictures.items() if eye in topic.lower()]
+    if len(named) != 1:
+        several = f"{len(named)} topics of pictures have {eye!r} in their names"
+        raise _bad(f"{bag}: {several}: name one with --{eye}; topics of pictures: {listed}")
+    return named[0]
+
+
+def _messages(
+    bag: Path, reader: AnyReader, taken: Sequence[tuple[str, Connection]]
+) -> Iterator[tuple[str, Any]]:
+    for eye, connection in taken:
+        if connection.msgcount == 0:
+            raise _bad(f"{bag}: {connection.topic} has no message")
+        for one, _, data in reader.messages(connections=[connection]):
+            yield eye, reader.deserialize(data, one.msgtype)
+
+
+def _stamp_of(bag: Path, eye: str, message: Any) -> str:
+    stamp = message.header.stamp
+    if stamp.sec < _FROM_S:
+        raise _bad(
+            f"{bag}: a picture of the {eye} eye is stamped {stamp.sec} s, no time of a clock that is set"
+        )
+    return f"{stamp.sec}.{stamp.nanosec:09d}"
+
+
+def _write_calibration(
+    bag: Path, reader: AnyReader, connections: Sequence[Connection], target: Path
+) -> Path | None:
+    """The rectified pair's lens, from both CameraInfo beside the pictures' topics; None where one is not
+    there, or the pictures are raw.
+    """
+    infos: list[Any] = []
+    for one in connections:
+        beside = f"{one.topic.removesuffix('/compressed').rpartition('/')[0]}/camera_info"
+        known = [each for each in reader.connections if (each.topic, each.msgtype) == (beside, _INFO)]
+        found = next(reader.messages(connections=known), None) if known else None
+        if found is None:
+            return None
+        infos.append(reader.deserialize(found[2], _INFO))
+    left, right = (np.asarray(info.p, dtype=float).reshape(3, 4) for info in infos)
+    raw = [
+        one.topic
+        for one, info in zip(connections, infos, strict=True)
+        if np.any(info.d) and "rect" not in one.topic
+    ]
+    if raw or not left[0, 0] > 0.0:
+        return None
+    values = {
+        "fx_px": left[0, 0], "fy_px": left[1, 1], "cx_px": left[0, 2], "cy_px": left[1, 2],
+        "right_cx_px": right[0, 2], "baseline_m": (left[0, 3] - right[0, 3]) / left[0, 0],
+    }  # fmt: skip
+    sizes = {"width_px": int(infos[0].width), "height_px": int(infos[0].height)}
+    path = target / CALIBRATION
+    path.write_text(yaml.safe_dump({name: float(value) for name, value in values.items()} | sizes))
+    return path
+
+
+def _bad(words: str) -> ConfigurationError:
+    return ConfigurationError("configuration.bad_bag", words)
