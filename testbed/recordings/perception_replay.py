@@ -136,7 +136,7 @@ class PerceptionReplay:
         self._compare(OBSERVATION, said.frame_id, said, again)
 
     def _odometry_start(self, said: Any) -> None:
-        self._odometry = {said.odometry: self._sensor.odometry(self._replayed_observation(said))}
+        self._odometry = {said.odometry: self._sensor.own_odometry(self._replayed_observation(said))}
         self._at = {time_ns: seen for time_ns, seen in self._at.items() if time_ns == max(self._at)}
         self._poses.clear()
 

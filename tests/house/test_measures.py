@@ -10,16 +10,16 @@ ROOMS = measures.rooms(measures.ROOT)
 # What the house may weigh. Lowered with every change that takes something away; raised only by a change that
 # brings a capability, by what that needs, with the reason in its commit.
 BUDGET = {
-    "lines of conformance": 10_236,
-    "lines of laboratory": 15_803,
-    "lines of product": 81_344,
-    "modules": 646,
-    "lines of source": 106_909,
-    "lines of tests": 61_397,
-    "words of pages": 47_988,
+    "lines of conformance": 10_340,
+    "lines of laboratory": 15_890,
+    "lines of product": 84_000,
+    "modules": 675,
+    "lines of source": 110_960,
+    "lines of tests": 63_960,
+    "words of pages": 49_900,
     "words of the README": 700,
-    "configuration keys": 634,
-    "constants of vision without a tag": 373,
+    "configuration keys": 654,
+    "constants of vision without a tag": 375,
     "constants of the controller without a tag": 21,
 }
 

@@ -28,6 +28,10 @@ class PixelSensor:
         """Odometry whose first camera frame is C0, for a camera as ``previous`` has it."""
         if self._feed is not None:
             return ForeignOdometry(self._feed, self._config.odometry_feed)
+        return self.own_odometry(previous)
+
+    def own_odometry(self, previous: FrameObservation | None) -> StereoOdometry:
+        """The same from the pictures themselves, whatever feed there is."""
         return StereoOdometry(
             as_believed(self.camera, previous), self._config.odometry, self._config.markers.tool
         )

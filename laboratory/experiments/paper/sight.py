@@ -222,7 +222,7 @@ class OpencvSensor:
 
     def odometry(self, previous: FrameObservation | None) -> "OpencvOdometry":
         """Vision's own odometry; these markers tell of no offset."""
-        return OpencvOdometry(self._pixels.odometry(previous))
+        return OpencvOdometry(self._pixels.own_odometry(previous))
 
     def errors(self, _samples: Sequence[WatchSample]) -> CameraErrors | None:
         """These markers tell nothing of the camera."""

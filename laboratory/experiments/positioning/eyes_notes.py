@@ -101,7 +101,7 @@ class NotingSensor:
         """Vision's odometry, noted as a new watch."""
         followed = Followed(as_believed(self._pixels.camera, previous), [])
         self._notes.watches.append(followed)
-        return NotingOdometry(self._pixels.odometry(previous), self.shown, followed)
+        return NotingOdometry(self._pixels.own_odometry(previous), self.shown, followed)
 
     def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
         """What vision makes of a watch."""
