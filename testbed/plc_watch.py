@@ -6,6 +6,7 @@ TwinCAT. Rows are sum reads: all values of a row are of one moment between two c
 
 import csv
 import math
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,8 +21,18 @@ from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from testbed.reporting.console import err, out, table
 
 _ANSWER_MS = 2000
+_PLC_PORT = 851  # of the first runtime
 _UNKNOWN_NAME, _NO_SUCH_PORT = 0x710, 6
 Row = dict[str, Any]
+
+
+def plc_address(text: str) -> tuple[str, str, int]:
+    """Host, AMS net id and AMS port of ``HOST[/NETID][:PORT]``. Raises RequestRefused."""
+    found = re.fullmatch(r"([^/:]+)(?:/([\d.]+))?(?::(\d{1,5}))?", text)
+    if found is None:
+        why = f"--host {text}: HOST[/NETID][:PORT] is wanted, such as 192.168.0.1/192.168.0.1.1.1:851"
+        raise RequestRefused("refused.plc.address", why)
+    return found[1], found[2] or f"{found[1]}.1.1", int(found[3] or _PLC_PORT)
 
 
 class WatchedPlc:
@@ -41,7 +52,7 @@ class WatchedPlc:
             self._ads.add_route(net_id, host)
             self._client = self._ads.Connection(net_id, port, host)
         except (ValueError, TypeError) as error:
-            why = f"--net-id {net_id}: six numbers from 0 to 255 with dots are wanted: {error}"
+            why = f"AMS net id {net_id}: six numbers from 0 to 255 with dots are wanted: {error}"
             raise ConfigurationError("configuration.bad_value", why) from error
         except self._ads.ADSError as error:
             raise LinkLost("link.plc", f"{self._where}: nobody answers at TCP port 48898") from error
@@ -101,7 +112,7 @@ def list_symbols(plc: WatchedPlc, find: str) -> None:
     out.print(table(f"{len(rows)} of {len(every)} variables", ("name", "type"), rows))
 
 
-class Watched(NamedTuple):
+class WatchedValues(NamedTuple):
     """Of each variable what it was; rows read, rows left out, and why the PLC went silent, if it did."""
 
     variables: dict[str, dict[str, Any]]
@@ -126,7 +137,7 @@ class _Seen:
 
 def watch_values(
     plc: WatchedPlc, names: list[str], every_s: float, seconds: float | None, path: Path | None
-) -> Watched:
+) -> WatchedValues:
     """Read ``names`` every ``every_s`` until ``seconds`` or Ctrl-C, show them, and write them to ``path``.
 
     Where the PLC goes silent before, what it had said is written all the same. Rows that come late are
@@ -164,7 +175,7 @@ def watch_values(
     if silent:
         err.print(f"longreach: {silent}", style="bold red", highlight=False, soft_wrap=True, markup=False)
     shown = {name: vars(one) | {"type": kinds[name]} for name, one in seen.items()}
-    return Watched(shown, rows, late, silent)
+    return WatchedValues(shown, rows, late, silent)
 
 
 @contextmanager

@@ -24,9 +24,14 @@ def watch(
     names: Annotated[
         list[str] | None, typer.Argument(help="Variables; without any: what there is to watch.")
     ] = None,
-    host: Annotated[str, typer.Option(help="Of the PLC's ADS router.")] = "127.0.0.1",
-    net_id: Annotated[str | None, typer.Option(help="AMS net id; HOST.1.1 where not given.")] = None,
-    port: Annotated[int, typer.Option(min=1, max=65_535, help="AMS port of the PLC's runtime.")] = 851,
+    at: Annotated[
+        str,
+        typer.Option(
+            "--host",
+            metavar="HOST[/NETID][:PORT]",
+            help="Of the PLC: address, AMS net id (HOST.1.1), AMS port (851).",
+        ),
+    ] = "127.0.0.1",
     every_ms: Annotated[float, typer.Option(min=1.0, help="Between two rows.")] = 50.0,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Until Ctrl-C where not given.")] = None,
     find: Annotated[str, typer.Option(help="Of the list: names that hold this, in any letters.")] = "",
@@ -38,9 +43,9 @@ def watch(
     Exit status 1 where the PLC goes silent. It reads and never writes. A TwinCAT of another machine needs a
     route to this one's AMS net id.
     """
-    from testbed.plc_watch import WatchedPlc, list_symbols, watch_values
+    from testbed.plc_watch import WatchedPlc, list_symbols, plc_address, watch_values
 
-    with WatchedPlc(host, net_id or f"{host}.1.1", port) as watched:
+    with WatchedPlc(*plc_address(at)) as watched:
         if not names:
             list_symbols(watched, find)
         else:
