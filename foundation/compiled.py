@@ -43,6 +43,7 @@ OUR_PACKAGES = frozenset(
         "plant_emulator",
         "vision_pc",
         "longreach",
+        "longreach_ros2",
         "conformance",
         "dissector",
         "testbed",

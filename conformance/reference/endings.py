@@ -259,6 +259,14 @@ def _to_mode(peer: Peer, mode: Mode) -> None:
         require(reason in _DONE, f"{code.name} on the way to {mode.name}: {reason.name}")
 
 
+def _modes(mode: Mode, *asked: Asked) -> list[Mode]:
+    """The modes that ``asked`` lead through, one after the other."""
+    seen = [mode]
+    for each in asked:
+        seen.append(ANSWERS[seen[-1], each].mode)
+    return seen
+
+
 def _judge_pair(peer: Peer, mode: Mode, first: Asked, second: Asked) -> None:
     """Both in one burst: each is answered in the mode that the one before it leaves, or overtaken (6.13)."""
     _to_mode(peer, mode)
@@ -278,9 +286,9 @@ def _judge_pair(peer: Peer, mode: Mode, first: Asked, second: Asked) -> None:
 def two_commands(peer: Peer) -> None:
     disabled(peer)
     for mode in (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY):
-        asked = _AT_REST if mode is Mode.DISABLED else (Asked.ENABLE, *_AT_REST)
-        for first, second in product(asked, repeat=2):
-            _judge_pair(peer, mode, first, second)
+        for first, second in product((Asked.ENABLE, *_AT_REST), repeat=2):
+            if Mode.STANDBY not in _modes(mode, first, second):  # 426 asks for those that enable
+                _judge_pair(peer, mode, first, second)
     _to_mode(peer, Mode.DISABLED)
 
 
@@ -289,9 +297,9 @@ def two_commands(peer: Peer) -> None:
 )
 def two_commands_in_standby(peer: Peer) -> None:
     standby(peer)
-    for mode in (Mode.DISABLED, Mode.STANDBY):
+    for mode in (Mode.DISABLED, Mode.STANDBY, Mode.ERROR_HELD):
         for first, second in product((Asked.ENABLE, *_AT_REST), repeat=2):
-            if mode is Mode.STANDBY or Asked.ENABLE in (first, second):
+            if mode is Mode.STANDBY or Mode.STANDBY in _modes(mode, first, second):
                 _judge_pair(peer, mode, first, second)
     _to_mode(peer, Mode.DISABLED)
 

@@ -35,6 +35,7 @@ PACKAGES = (
     "testbed",
     "laboratory",
     "longreach",
+    "longreach_ros2",
 )
 _SCENARIOS = "scenarios"
 _DIGITS = 16
