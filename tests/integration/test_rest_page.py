@@ -44,6 +44,7 @@ def up(tmp_path: Path) -> Iterator[Up]:
         process.send_signal(signal.SIGTERM)
         process.wait(timeout=30.0)
         reader.join(10.0)
+        process.stdout.close()
 
 
 def test_the_block_of_the_page_works_against_up(up: Up, tmp_path: Path) -> None:
