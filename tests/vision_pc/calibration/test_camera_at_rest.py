@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
 from vision_pc.config.programs import AtRestSettings, LocalErrorModelSettings
@@ -137,3 +138,10 @@ async def test_a_drive_is_watched_from_rest_to_rest() -> None:
     rig = SyntheticRig(draw(np.random.default_rng(3), glitch_share=0.0), 3)
     track = await record_local_track(rig, rig, silent, settings, BOOM)
     assert track.residual_motion > 0.0
+
+
+def test_a_watch_without_a_pose_is_refused_before_anything_moves() -> None:
+    nothing = np.empty((0, 4, 4))
+    with pytest.raises(MeasurementFailed) as refused:
+        begun_at(nothing, AtRest(slice(0, 0), 0.0), SIXTEEN.agree_m)
+    assert refused.value.cause == "measurement.odometry_lost"

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import AtRestSettings
 from vision_pc.core.calibration.local_calibration import settled_pose
 from vision_pc.core.ports import Watch
@@ -54,8 +55,12 @@ def begun_at(X: Array, found: AtRest, agree_m: float) -> Array:
 
     The mean of the pictures ``found`` at rest. Where it has moved by more than ``agree_m`` until then, as
     while a boom sinks through the play before its encoder, the first pictures and their trend tell it: the
-    goal of the drive was told there.
+    goal of the drive was told there. Raises MeasurementFailed (``measurement.odometry_lost``) for none.
     """
+    if not len(X):
+        raise MeasurementFailed(
+            "measurement.odometry_lost", "odometry: no pose of the camera at rest, before anything moved"
+        )
     resting = found.pictures
     first, settled = X[: resting.stop - resting.start], settled_pose(X[resting])
     if len(first) < 2 or _metres(local(settled_pose(first), settled)) <= agree_m:
