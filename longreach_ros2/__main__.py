@@ -84,7 +84,7 @@ def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
 def _address(text: str) -> dict[str, str | int]:
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
-        raise ConfigurationError("configuration.bad_value", f"--controller {text!r}: wanted HOST:PORT")
+        raise ConfigurationError("configuration.bad_value", f"--controller {text!r} is not HOST:PORT")
     return {"host": host.strip("[]"), "port": int(port)}
 
 

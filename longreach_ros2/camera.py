@@ -31,8 +31,8 @@ class PicturePublisher:
         self._infos = {eye: made(CameraInfo, f"camera/{eye}/camera_info") for eye in EYES}
         self.lenses: dict[str, Any] = {}
 
-    def wanted(self, eye: str) -> bool:
-        """Whether anybody looks."""
+    def has_subscribers(self, eye: str) -> bool:
+        """Whether anybody subscribes to this eye."""
         return bool(self._pictures[eye].get_subscription_count() or self._infos[eye].get_subscription_count())
 
     def publish(self, eye: str, said: Any, stamp: Stamp) -> None:
@@ -57,5 +57,5 @@ async def show(camera: CameraSource, config: VisionConfig, node: Node, ros_time:
             continue
         capture_ns = pair.capture_ns
         for number, eye in enumerate(EYES):
-            if publisher.wanted(eye):
+            if publisher.has_subscribers(eye):
                 publisher.publish(eye, RawImage.FromString(raw(pair, number)), ros_time.of(capture_ns))

@@ -105,10 +105,10 @@ class ArmDrive:
         check_within("goal", self.link.state.q_meas, goal.path.goal, goal.at_the_goal)
 
     async def _stream(self, stream: ArmStream, goal: JointGoal, progress: Progress | None) -> None:
-        begun_ns = self.link.now_ns
+        start_ns = self.link.now_ns
         while True:
             now_ns = self.link.now_ns
-            time_s = _NS * (now_ns - begun_ns)
+            time_s = _NS * (now_ns - start_ns)
             q, rate = goal.path.at(time_s)
             reference = self.kinematics.moving_tool(q, rate)
             await stream.send(reference.X_BT, now_ns, reference.twist)
@@ -118,7 +118,7 @@ class ArmDrive:
             if time_s >= goal.path.duration_s:
                 break
             number = int(time_s / PERIOD_S) + 1
-            await self._clock.until(lambda: False, number * PERIOD_S - _NS * (self.link.now_ns - begun_ns))
+            await self._clock.until(lambda: False, number * PERIOD_S - _NS * (self.link.now_ns - start_ns))
         for _ in range(_STATES):
             await self.link.next_state()
 
@@ -198,7 +198,7 @@ class TopicStreams:
     def _jointed(self, message: Any, measured_ns: int) -> Twisted:
         order = joint_order(message.name)
         if len(message.position) != len(order):
-            raise refused("points", f"{len(message.position)} positions, wanted {len(order)}")
+            raise refused("points", f"{len(message.position)} positions for {len(order)} joints")
         q = np.asarray(message.position, dtype=np.float64)[order]
         given = np.asarray(message.velocity, dtype=np.float64)
         rate = given[order] if len(given) == len(order) else np.zeros(len(order))

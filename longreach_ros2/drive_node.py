@@ -69,7 +69,7 @@ class DriveNode(Node):  # type: ignore[misc]
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=self._together,
         )
-        self.create_timer(_STATUS_S, self._tell_status)
+        self.create_timer(_STATUS_S, self._publish_status)
         drive.link.listeners.append(self._heard)
 
     def _listen(self, kind: type, topic: str, act: Callable[[Any], Coroutine[Any, Any, None]]) -> None:
@@ -79,7 +79,7 @@ class DriveNode(Node):  # type: ignore[misc]
             except LongreachError as error:
                 self._drive.refusals.note(topic, error)
                 self.get_logger().warning(f"{topic}: {error.cause}: {error}")
-                self._tell_status()
+                self._publish_status()
 
         def received(message: Any) -> None:
             asyncio.run_coroutine_threadsafe(acted(message), self._loop)
@@ -115,7 +115,7 @@ class DriveNode(Node):  # type: ignore[misc]
         return FollowJointTrajectory.Result(error_code=outcome.code, error_string=outcome.text)
 
     async def _outcome(self, handle: ServerGoalHandle) -> GoalOutcome:
-        task = asyncio.ensure_future(self._follow_told(handle))
+        task = asyncio.ensure_future(self._follow_with_feedback(handle))
         attended = False
         while not task.done():
             clients = self.count_subscribers(f"{_ACTION}/_action/feedback")
@@ -132,7 +132,7 @@ class DriveNode(Node):  # type: ignore[misc]
             raise error
         return GoalOutcome(SUCCESSFUL, "")
 
-    async def _follow_told(self, handle: ServerGoalHandle) -> None:
+    async def _follow_with_feedback(self, handle: ServerGoalHandle) -> None:
         count = 0
 
         def progress(q: Array, rate: Array) -> None:
@@ -162,7 +162,7 @@ class DriveNode(Node):  # type: ignore[misc]
         if self._tf is not None:
             self._tf.publish(chain(self._drive.kinematics.frames(state.q_meas), stamp))
 
-    def _tell_status(self) -> None:
+    def _publish_status(self) -> None:
         level, message, values = diagnosis(self._drive.link, self._drive.refusals)
         status = DiagnosticStatus(level=bytes([level]), name=f"{NAME}: arm", message=message)
         status.hardware_id = self._hardware

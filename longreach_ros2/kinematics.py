@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from nominal_arm.description import JOINT_NAMES, NominalArm
-from nominal_arm.dimensions import DhLink, dh_links
+from nominal_arm.dimensions import dh_links, joint_turn, link_behind_joint
 
 Array = NDArray[np.float64]
 
@@ -36,11 +36,11 @@ class NominalKinematics:
         X = np.eye(4)
         found = {BASE: X}
         for name, link, angle in zip(JOINT_NAMES, self._links, angles, strict=False):
-            X = X @ _turn_z(angle + link.theta_offset)
+            X = X @ joint_turn(angle + link.theta_offset)
             found[f"{name}_link"] = X
-            X = X @ _rest(link)
+            X = X @ link_behind_joint(link)
         mock = self._links[-1]
-        found[TOOL] = X @ _turn_z(mock.theta_offset) @ _rest(mock)
+        found[TOOL] = X @ joint_turn(mock.theta_offset) @ link_behind_joint(mock)
         return found
 
     def moving_tool(self, q: ArrayLike, q_rate: ArrayLike) -> Twisted:
@@ -59,17 +59,3 @@ def moved(X: Array, twist: Array, seconds: float) -> Array:
     Y[:3, 3] += seconds * twist[:3]
     Y[:3, :3] = Rotation.from_rotvec(seconds * twist[3:]).as_matrix() @ X[:3, :3]
     return Y
-
-
-def _turn_z(angle: float) -> Array:
-    X = np.eye(4)
-    X[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    return X
-
-
-def _rest(link: DhLink) -> Array:
-    """Tz(d) Tx(a) Rx(alpha): what of a link lies behind its joint."""
-    X = np.eye(4)
-    X[:3, :3] = Rotation.from_euler("x", link.alpha).as_matrix()
-    X[:3, 3] = link.a, 0.0, link.d
-    return X

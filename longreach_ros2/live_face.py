@@ -29,15 +29,15 @@ class LiveMessage(NamedTuple):
     message: Any
 
 
-async def live_messages(url: str, wanted: Collection[str]) -> AsyncIterator[LiveMessage]:
-    """The messages of ``wanted`` topics, as services come and go, over one connection.
+async def live_messages(url: str, topics: Collection[str]) -> AsyncIterator[LiveMessage]:
+    """The messages of ``topics``, as services come and go, over one connection.
 
     Raises ConfigurationError for an address that is none, LinkLost (``link.no_live_face``) when nobody
     answers or the face ends, (``link.other_clock``) when it is another machine's.
     """
     try:
         async with connect(url, subprotocols=[_SUBPROTOCOL], max_size=None) as connection:
-            async for one in _read(connection, wanted):
+            async for one in _read(connection, topics):
                 yield one
         raise LinkLost("link.no_live_face", f"live face at {url}: it has ended")
     except InvalidURI as error:
@@ -46,7 +46,7 @@ async def live_messages(url: str, wanted: Collection[str]) -> AsyncIterator[Live
         raise LinkLost("link.no_live_face", f"live face at {url}: {error}") from error
 
 
-async def _read(connection: ClientConnection, wanted: Collection[str]) -> AsyncIterator[LiveMessage]:
+async def _read(connection: ClientConnection, topics: Collection[str]) -> AsyncIterator[LiveMessage]:
     known: dict[int, tuple[str, Any]] = {}
     async for said in connection:
         if isinstance(said, bytes):
@@ -58,7 +58,7 @@ async def _read(connection: ClientConnection, wanted: Collection[str]) -> AsyncI
             continue
         document = json.loads(said)
         if document["op"] == "advertise":
-            new = [channel for channel in document["channels"] if channel["topic"] in wanted]
+            new = [channel for channel in document["channels"] if channel["topic"] in topics]
             known |= {channel["id"]: (channel["topic"], _class_of(channel)) for channel in new}
             asked = [{"id": channel["id"], "channelId": channel["id"]} for channel in new]
             await connection.send(json.dumps({"op": "subscribe", "subscriptions": asked}))

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from longreach_ros2.kinematics import Array
 from longreach_ros2.trajectories import refused
-from protocol.pose import Pose
 from protocol.reference_messages import ReferencePath, ReferencePose
+from vision_pc.core.se3 import to_pose, transform
 
 # [D] A stamp is of this machine's clock if it is at most so much older or newer than now.
 OLDEST_NS, NEWEST_NS = 250_000_000, 50_000_000
@@ -65,10 +65,7 @@ def pose_in_base(pose: Any, frame: str, frames: Mapping[str, Array]) -> Array:
     norm = float(np.linalg.norm(numbers[3:]))
     if abs(norm - 1.0) > _NORM:
         raise refused("not_unit_quaternion", f"the quaternion's norm is {norm:g}, limit 1 within {_NORM:g}")
-    X = np.eye(4)
-    X[:3, :3] = Rotation.from_quat(numbers[3:]).as_matrix()
-    X[:3, 3] = numbers[:3]
-    return X_BF @ X
+    return X_BF @ transform(Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3])
 
 
 def twist_in_base(twist: Any, frame: str, frames: Mapping[str, Array]) -> Array:
@@ -81,29 +78,22 @@ def twist_in_base(twist: Any, frame: str, frames: Mapping[str, Array]) -> Array:
     return np.concatenate([R @ numbers[0], R @ numbers[1]])
 
 
-def as_pose(X: Array) -> Pose:
-    """X (4, 4) as it crosses the link."""
-    x, y, z, w = Rotation.from_matrix(X[:3, :3]).as_quat().tolist()
-    a, b, c = X[:3, 3].tolist()
-    return Pose((a, b, c), (w, x, y, z))
-
-
 def target_of(message: Any, frames: Mapping[str, Array]) -> ReferencePose:
     """The point-to-point reference that a PoseStamped asks for. Raises RequestRefused."""
-    return ReferencePose(0, as_pose(pose_in_base(message.pose, message.header.frame_id, frames)), 0.0)
+    return ReferencePose(0, to_pose(pose_in_base(message.pose, message.header.frame_id, frames)), 0.0)
 
 
 def path_of(message: Any, frames: Mapping[str, Array]) -> ReferencePath:
     """The reference of a ``nav_msgs/Path``: at rest at each pose, the controller choosing the pace.
 
-    Raises RequestRefused, also for poses that are stamped with different times: they are not kept.
+    Raises RequestRefused, also for poses that are stamped with different times: a path has none.
     """
     stamps = {(one.header.stamp.sec, one.header.stamp.nanosec) for one in message.poses}
     if len(stamps) > 1:
         raise refused("timed_path", "the poses have different stamps: times on a path are not followed")
     frame = message.header.frame_id
     poses = [pose_in_base(one.pose, one.header.frame_id or frame, frames) for one in message.poses]
-    return ReferencePath(0, tuple(map(as_pose, poses)), 0.0, 0.0)
+    return ReferencePath(0, tuple(map(to_pose, poses)), 0.0, 0.0)
 
 
 def _known(frame: str, frames: Mapping[str, Array]) -> Array:

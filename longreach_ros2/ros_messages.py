@@ -10,9 +10,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
 from tf2_msgs.msg import TFMessage
 
 from longreach_ros2.kinematics import BASE, Array
-from longreach_ros2.references import as_pose
 from nominal_arm.description import JOINT_NAMES
 from protocol.pose import Pose
+from vision_pc.core.se3 import inverse, to_pose
 
 DEPTH = 10
 PICTURES: QoSProfile = qos_profile_sensor_data
@@ -35,10 +35,7 @@ def chain(frames: dict[str, Array], stamp: Stamp) -> Any:
     """Each of ``frames`` (X_BF by name) in the one before."""
     found = []
     for (before, X), (name, Y) in pairwise(frames.items()):
-        R = X[:3, :3].T
-        Z = Y.copy()
-        Z[:3, :3], Z[:3, 3] = R @ Y[:3, :3], R @ (Y[:3, 3] - X[:3, 3])
-        found.append(transform(as_pose(Z), before, name, stamp))
+        found.append(transform(to_pose(inverse(X) @ Y), before, name, stamp))
     return TFMessage(transforms=found)
 
 

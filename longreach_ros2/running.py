@@ -37,7 +37,7 @@ _STOP_S = 2.0
 def drive(
     arm: NominalArm, config: VisionConfig, log: EventLog, for_ros: list[str], *, tf: bool, camera: bool
 ) -> None:
-    """ArmDrive the arm until asked to end; with ``camera`` show its pictures too.
+    """Drive the arm until asked to end; with ``camera`` show its pictures too.
 
     Raises LinkLost for an address that is none, ConfigurationError.
     """

@@ -1,4 +1,4 @@
-"""What ROS is told of the arm and of refusals: diagnostics, and how an action ends; in plain data."""
+"""Diagnostics of the arm and of refusals, and how an action ends, as plain data."""
 
 from typing import NamedTuple
 

@@ -95,7 +95,7 @@ def joint_order(names: Iterable[str]) -> list[int]:
             "; ".join(f"{word}: {', '.join(some)}" for word, some in parts if some) or "some are named twice"
         )
         raise refused(
-            "joints", f"joints {', '.join(said) or 'none'}, wanted {', '.join(JOINT_NAMES)} ({why})"
+            "joints", f"joints {', '.join(said) or 'none'}, this arm has {', '.join(JOINT_NAMES)} ({why})"
         )
     return [said.index(name) for name in JOINT_NAMES]
 
@@ -108,7 +108,7 @@ def tolerances(said: Iterable[Any], usual: float) -> Array:
     found = dict.fromkeys(JOINT_NAMES, usual)
     for one in said:
         if one.name not in found:
-            raise refused("joints", f"tolerance of joint {one.name!r}, wanted {', '.join(JOINT_NAMES)}")
+            raise refused("joints", f"tolerance of joint {one.name!r}, this arm has {', '.join(JOINT_NAMES)}")
         if one.velocity > 0.0 or one.acceleration > 0.0:
             raise refused("tolerance", f"{one.name}: tolerances of velocity and acceleration are not judged")
         if not math.isfinite(one.position):
@@ -118,12 +118,12 @@ def tolerances(said: Iterable[Any], usual: float) -> Array:
     return np.where(values < 0.0, np.inf, values)
 
 
-def check_within(what: str, q: Sequence[float], wanted: Array, most: Array) -> None:
-    """Raise RequestRefused if a joint of ``q`` is further from ``wanted`` than ``most``, all (6,) rad.
+def check_within(what: str, q: Sequence[float], desired: Array, most: Array) -> None:
+    """Raise RequestRefused if a joint of ``q`` is further from ``desired`` than ``most``, all (6,) rad.
 
     ``what``, path or goal, is named, as in the cause ``refused.ros_goal_tolerance``.
     """
-    off = np.abs(np.asarray(q) - wanted)
+    off = np.abs(np.asarray(q) - desired)
     worst = int(np.argmax(off / most))
     if off[worst] > most[worst]:
         words = f"{JOINT_NAMES[worst]} is {1e3 * off[worst]:.2f} mrad off the {what}"
@@ -146,7 +146,7 @@ def _rows(number: int, point: Any, order: list[int]) -> list[Array]:
         if name == "accelerations" and len(values) == 0:
             continue
         if len(values) != _JOINTS:
-            raise refused("points", f"point {number} has {len(values)} {name}, wanted {_JOINTS}")
+            raise refused("points", f"point {number} has {len(values)} {name}, this arm has {_JOINTS} joints")
         if not np.all(np.isfinite(values)):
             raise refused("not_finite", f"point {number}: {name} {values.tolist()} are not all finite")
         rows.append(values[order])

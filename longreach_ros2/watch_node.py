@@ -11,10 +11,11 @@ from tf2_msgs.msg import TFMessage
 from longreach_ros2.camera import EYES, PicturePublisher
 from longreach_ros2.kinematics import BASE
 from longreach_ros2.live_face import LiveMessage
-from longreach_ros2.references import RosTime, as_pose
+from longreach_ros2.references import RosTime
 from longreach_ros2.ros_messages import DEPTH, Stamp, joint_state, pose_stamped, posed, transforms
 from nominal_arm.description import JOINT_NAMES
 from protocol.pose import Pose
+from vision_pc.core.se3 import to_pose
 
 STATE, TRUTH, TRUE_FRAMES, SEEN = "/controller/state", "/plant/truth", "/tf_true", "/vision/tf"
 _IMAGES = {f"/camera/{eye}/image": eye for eye in EYES}
@@ -48,7 +49,7 @@ class WatchNode(Node):  # type: ignore[misc]
         elif topic == TRUTH:
             self._true_joints.publish(joint_state(_joints(message, "q"), stamp))
             self._true_tool.publish(
-                pose_stamped(as_pose(np.reshape(message.X_BT, (4, 4))), "true/base", stamp)
+                pose_stamped(to_pose(np.reshape(message.X_BT, (4, 4))), "true/base", stamp)
             )
         elif topic == TRUE_FRAMES:
             self._true_tree.publish(transforms(message.transforms, stamp))

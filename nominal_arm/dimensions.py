@@ -81,19 +81,23 @@ def skeleton(links: tuple[DhLink, ...], q: tuple[float, ...]) -> NDArray[np.floa
     X = np.eye(4)
     points = [X[:3, 3].copy()]
     for index, link in enumerate(links):
-        X = X @ _link(link, q[index] if index < len(q) else 0.0)
+        angle = q[index] if index < len(q) else 0.0
+        X = X @ joint_turn(angle + link.theta_offset) @ link_behind_joint(link)
         points.append(X[:3, 3].copy())
     return np.array(points)
 
 
-def _link(link: DhLink, q: float) -> NDArray[np.float64]:
-    theta = q + link.theta_offset
-    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(link.alpha), np.sin(link.alpha)
-    return np.array(
-        [
-            [c, -s * ca, s * sa, link.a * c],
-            [s, c * ca, -c * sa, link.a * s],
-            [0.0, sa, ca, link.d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+def joint_turn(angle: float) -> NDArray[np.float64]:
+    """Rz(``angle``) (4, 4), rad: the part of a link that its joint moves."""
+    X = np.eye(4)
+    X[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    return X
+
+
+def link_behind_joint(link: DhLink) -> NDArray[np.float64]:
+    """Tz(d) Tx(a) Rx(alpha) (4, 4): what of a link lies behind its joint."""
+    X = np.eye(4)
+    ca, sa = np.cos(link.alpha), np.sin(link.alpha)
+    X[1:3, 1:3] = [[ca, -sa], [sa, ca]]
+    X[:3, 3] = link.a, 0.0, link.d
+    return X

@@ -30,7 +30,7 @@ def plc_address(text: str) -> tuple[str, str, int]:
     """Host, AMS net id and AMS port of ``HOST[/NETID][:PORT]``. Raises RequestRefused."""
     found = re.fullmatch(r"([^/:]+)(?:/([\d.]+))?(?::(\d{1,5}))?", text)
     if found is None:
-        why = f"--host {text}: HOST[/NETID][:PORT] is wanted, such as 192.168.0.1/192.168.0.1.1.1:851"
+        why = f"--host {text} is not HOST[/NETID][:PORT], such as 192.168.0.1/192.168.0.1.1.1:851"
         raise RequestRefused("refused.plc.address", why)
     return found[1], found[2] or f"{found[1]}.1.1", int(found[3] or _PLC_PORT)
 
@@ -52,7 +52,7 @@ class WatchedPlc:
             self._ads.add_route(net_id, host)
             self._client = self._ads.Connection(net_id, port, host)
         except (ValueError, TypeError) as error:
-            why = f"AMS net id {net_id}: six numbers from 0 to 255 with dots are wanted: {error}"
+            why = f"AMS net id {net_id} is not six numbers from 0 to 255 with dots: {error}"
             raise ConfigurationError("configuration.bad_value", why) from error
         except self._ads.ADSError as error:
             raise LinkLost("link.plc", f"{self._where}: nobody answers at TCP port 48898") from error
@@ -141,7 +141,7 @@ def watch_values(
     """Read ``names`` every ``every_s`` until ``seconds`` or Ctrl-C, show them, and write them to ``path``.
 
     Where the PLC goes silent before, what it had said is written all the same. Rows that come late are
-    counted and told, not made up.
+    counted, not made up.
     """
     kinds = plc.types(names)
     seen = {name: _Seen(value) for name, value in plc.read(names).items()}
@@ -163,7 +163,7 @@ def watch_values(
                     passed = math.ceil((at_s - due_s) / every_s)
                     late, due_s = late + passed, due_s + passed * every_s
         except KeyboardInterrupt:
-            pass  # ends it: what was read is kept
+            pass  # ends it; the rows stay
         except LinkLost as error:
             silent = f"{error.cause}: {error}"
     out.print(_shown(kinds, seen))

@@ -139,10 +139,10 @@ def inputs_of_the_moment(master: Master) -> None:
         read_request(READ_INPUT, INPUTS, INPUT_WORDS),
         exchange_request(INPUTS, INPUT_WORDS, OUTPUTS, image(1)),
     ):
-        ((begun, *_),) = together(master, [pdu])
+        ((earlier, *_),) = together(master, [pdu])
         wait(100)
         (first, *_), (second, *_) = together(master, [pdu, pdu])
-        late, passed = (second - first) % 0x10000, (second - begun) % 0x10000
+        late, passed = (second - first) % 0x10000, (second - earlier) % 0x10000
         require(
             2 * late < passed, f"with {pdu[0]}: {late} of {passed} cycles, 100 ms, behind the next request"
         )

@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 
+from testbed.camera.fake_gige import FakeGigeCamera
 from testbed.reporting.console import err, out
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core.types import Image, StereoPair
-from vision_pc.shell.cameras.aravis import FakeGigeCamera
 from vision_pc.shell.cameras.stream import StreamCamera
 
 _WAIT_S = 0.2  # for the next pair; a camera that waits longer is deaf to who controls it
@@ -24,18 +24,18 @@ class _ShownStream(StreamCamera):
         self._news = threading.Condition()
         self._newest: StereoPair | None = None
         self._seen = [0, 0]
-        self._told = ""
+        self._announced = ""
 
     def _deliver(self, pair: StereoPair, dropped: int = 0) -> None:
-        self._told = ""
+        self._announced = ""
         with self._news:
             self._newest = pair
             self._news.notify_all()
 
     def _is_gone(self, cause: str, detail: str = "") -> None:
-        if cause != self._told:
+        if cause != self._announced:
             err.print(f"{cause}: no pictures from the stream {detail}", highlight=False, soft_wrap=True)
-        self._told = cause
+        self._announced = cause
 
     def shown(self, eye: int, width: int, height: int) -> tuple[bytes, int]:
         """Pixels of ``eye``'s next picture, and its capture time in ns since 1970; the last one again where

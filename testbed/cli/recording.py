@@ -106,8 +106,10 @@ def pictures_command(
     for note in found.pairs.notes:
         out.print(note, highlight=False, soft_wrap=True)
     lens = found.calibration or "no calibration: pictures are raw, or have no camera_info"
-    told = f"{len(found.pairs.files)} pairs of {found.topics[0]} and {found.topics[1]} in {directory}; {lens}"
-    out.print(told, highlight=False, soft_wrap=True)
+    summary = (
+        f"{len(found.pairs.files)} pairs of {found.topics[0]} and {found.topics[1]} in {directory}; {lens}"
+    )
+    out.print(summary, highlight=False, soft_wrap=True)
     figures = {"pairs": len(found.pairs.files), "topics": found.topics, "notes": found.pairs.notes}
     write_json(json_file, figures | {"calibration": found.calibration})
 

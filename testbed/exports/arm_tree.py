@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nominal_arm.description import JOINT_NAMES, JointConfig, NominalArm
-from nominal_arm.dimensions import DhLink, dh_links
+from nominal_arm.dimensions import dh_links, joint_turn, link_behind_joint
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.mechanics.bodies import NOTHING, Lump
 from plant_emulator.core.mechanics.geometry import transform
@@ -53,7 +53,7 @@ class ArmTree(NamedTuple):
     """An arm: ``X_LT`` (4, 4) is the tool centre point T in the last link, ``gravity`` (3,) m/s² in B.
 
     ``about`` says in words what the arm is, and what of it is left out. ``frames``: what else it carries;
-    ``collides``: its rods are to be kept apart; both of URDF alone.
+    ``collides``: its rods may not touch; both of URDF alone.
     """
 
     name: str
@@ -75,15 +75,15 @@ def nominal_tree(arm: NominalArm) -> ArmTree:
         found.append(
             TreeJoint(
                 joint.name,
-                before @ _turn_z(link.theta_offset),
+                before @ joint_turn(link.theta_offset),
                 np.array([0.0, 0.0, 1.0]),
                 _limits(joint),
                 math.radians(joint.speed_deg_s),
             )
         )
-        before = _rest(link)
+        before = link_behind_joint(link)
     mock = links[-1]
-    tool = before @ _turn_z(mock.theta_offset) @ _rest(mock)
+    tool = before @ joint_turn(mock.theta_offset) @ link_behind_joint(mock)
     about = "The nominal arm, as controller and vision believe it: kinematics, without masses."
     return ArmTree(arm.name, tuple(found), tool, np.zeros(3), about)
 
@@ -144,18 +144,6 @@ def _true_joint(model: Model, i: int, name: str, arm: NominalArm) -> TreeJoint:
 
 def _limits(joint: JointConfig) -> tuple[float, float]:
     return math.radians(joint.lower_deg), math.radians(joint.upper_deg)
-
-
-def _turn_z(angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    return transform(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
-
-
-def _rest(link: DhLink) -> Array:
-    """Tz(d) Tx(a) Rx(alpha): what of a link lies behind its joint."""
-    c, s = math.cos(link.alpha), math.sin(link.alpha)
-    turned = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    return transform(turned, np.array([link.a, 0.0, link.d]))
 
 
 TOOL = "tool"  # name of the link or body of the tool centre point

@@ -1,6 +1,5 @@
 """What planners want of the nominal arm beside its kinematics: frames, efforts, masses, SRDF."""
 
-import math
 from collections.abc import Iterator
 from itertools import combinations
 from xml.etree import ElementTree as etree
@@ -8,6 +7,7 @@ from xml.etree import ElementTree as etree
 import numpy as np
 
 from nominal_arm.description import CylinderDrive, JointConfig, NominalArm, RotaryDrive
+from nominal_arm.dimensions import joint_turn
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.camera.scene import object_pose
 from plant_emulator.core.mechanics.bodies import Lump, together
@@ -127,9 +127,7 @@ def _ends(tree: ArmTree, q: Array, rods: list[int]) -> list[Array]:
     """Both ends (2, 3) in B of each rod."""
     X, found = np.eye(4), []
     for i, (joint, angle) in enumerate(zip(tree.joints, q, strict=True)):
-        c, s = math.cos(angle), math.sin(angle)
-        turn = transform(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
-        X = X @ joint.X_PJ @ turn
+        X = X @ joint.X_PJ @ joint_turn(angle)
         end = rod_end(tree, i)
         if i in rods and end is not None:
             found.append(np.array([X[:3, 3], X[:3, :3] @ end + X[:3, 3]]))

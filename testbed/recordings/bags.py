@@ -13,6 +13,7 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from protocol.errors import ConfigurationError
+from vision_pc.core.perception.pixel_formats import MOSAIC_TO_GREY
 from vision_pc.core.types import Image
 from vision_pc.shell.cameras.picture_files import EyeFiles, eye_files
 
@@ -20,10 +21,7 @@ EYES = ("left", "right")
 CALIBRATION = "calibration.yaml"
 _RAW, _COMPRESSED, _INFO = (f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo"))
 _CHANNELS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4}
-_BAYER = {
-    "bayer_rggb8": cv2.COLOR_BayerBG2GRAY, "bayer_bggr8": cv2.COLOR_BayerRG2GRAY,
-    "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY, "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
-}  # fmt: skip
+_BAYER = {f"bayer_{name}8": MOSAIC_TO_GREY[name[:2].upper()] for name in ("rggb", "bggr", "gbrg", "grbg")}
 _GREY: dict[str, int | None] = dict.fromkeys(("mono8", "8UC1"), None) | {
     "rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "8UC3": cv2.COLOR_BGR2GRAY,
     "rgba8": cv2.COLOR_RGBA2GRAY, "bgra8": cv2.COLOR_BGRA2GRAY, **_BAYER,

@@ -23,12 +23,14 @@ from conformance.runner import coupler_cases, reference_cases, run_coupler, run_
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.coupler.page_server import PageServer
-from tests.conformance.coupler.systematic import MUTANTS as COUPLERS
+from tests.conformance.coupler.systematic import MUTANTS as SYSTEMATIC
 from tests.conformance.coupler.systematic import BrokenCoupler
+from tests.conformance.coupler.systematic_readings import MUTANTS as READINGS
 from tests.conformance.couplers import ShiftedClock
 from tests.conformance.mutator import BrokenController
 from tests.conformance.simulated_network import simulated
 
+COUPLERS = (*SYSTEMATIC, *READINGS)
 FOR_A_KEY = set(range(701, 722)) | set(range(723, 741))
 FOR_NO_KEY = {722}
 # They take many datagrams, or much time.

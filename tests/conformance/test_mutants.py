@@ -16,9 +16,9 @@ from conformance.runner import coupler_cases, reference_cases, run_coupler
 from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.coupler.page_server import PageServer
 from tests.conformance.coupler.rules import Rules
-from tests.conformance.coupler.systematic import MUTANTS as COUPLERS
 from tests.conformance.couplers import ShiftedClock
 from tests.conformance.mutant_report import (
+    COUPLERS,
     SOURCES,
     Verdict,
     asked,

@@ -13,7 +13,7 @@ BUDGET = {
     "lines of conformance": 10_340,
     "lines of laboratory": 15_890,
     "lines of product": 84_060,
-    "modules": 675,
+    "modules": 676,
     "lines of source": 111_060,
     "lines of tests": 64_020,
     "words of pages": 49_960,

@@ -43,7 +43,7 @@ async def shown(url: str, found: list[LiveMessage]) -> None:
     """Fill ``found`` with what comes until the face ends, and raise as ``live_messages`` does then."""
     async with asyncio.timeout(10.0):
         async for message in live_messages(url, {"/tf_true"}):
-            found.append(message)  # noqa: PERF401 -- what came before an error is wanted too
+            found.append(message)  # noqa: PERF401 -- what came before an error counts too
 
 
 async def test_wanted_topics_are_asked_for_and_their_messages_decoded() -> None:
@@ -83,4 +83,4 @@ def test_an_address_without_a_port_is_refused(
     monkeypatch.setattr("longreach_ros2.__main__._check_ros", lambda: None)
     for wrong in ("here", "here:0", "here:99999", ":47000"):
         assert main(["--controller", wrong]) == 2
-        assert f"--controller {wrong!r}: wanted HOST:PORT" in capsys.readouterr().err
+        assert f"--controller {wrong!r} is not HOST:PORT" in capsys.readouterr().err

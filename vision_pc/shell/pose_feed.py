@@ -24,7 +24,7 @@ def pose_of(line: str) -> tuple[float, se3.Array]:
     """Unix time (s) and X_WC (4, 4) of ``t x y z qx qy qz qw``. Raises ValueError."""
     numbers = [float(word) for word in line.split()]
     if len(numbers) != 8 or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{line[:80]!r}: eight finite numbers t x y z qx qy qz qw are wanted")
+        raise ValueError(f"{line[:80]!r}: not eight finite numbers t x y z qx qy qz qw")
     if not 0.5 < math.hypot(*numbers[4:]) < 2.0:
         raise ValueError(f"{line[:80]!r}: qx qy qz qw is no unit quaternion")
     return numbers[0], se3.transform(Rotation.from_quat(numbers[4:]).as_matrix(), numbers[1:4])
@@ -33,8 +33,8 @@ def pose_of(line: str) -> tuple[float, se3.Array]:
 class UdpPoseFeed:
     """Implements ``PoseFeed``: hears at ``settings``' address, in a thread of its own.
 
-    A line that is none, and one whose time is not after the newest, are left out, counted, and told in the
-    log now and then. Raises ConfigurationError (``configuration.port_taken``).
+    A line that is none, and one whose time is not after the newest, are left out, counted, and
+    logged now and then. Raises ConfigurationError (``configuration.port_taken``).
     """
 
     def __init__(self, settings: PoseFeedSettings, log: EventLog) -> None:
@@ -60,7 +60,7 @@ class UdpPoseFeed:
         return int(self._socket.getsockname()[1])
 
     def poses_to(self, time_ns: int) -> tuple[TimedPose, ...]:
-        """All that is kept, once a pose at or after ``time_ns`` has come or the wait is over."""
+        """The newest poses, once a pose at or after ``time_ns`` has come or the wait is over."""
         with self._news:
             self._news.wait_for(
                 lambda: bool(self._poses) and self._poses[-1].time_ns >= time_ns, self._wait_s

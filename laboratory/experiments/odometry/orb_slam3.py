@@ -130,7 +130,7 @@ def answer(given: str, found: str) -> None:
 
 
 class OrbSlam3:
-    """ORB-SLAM3 on rectified pairs, one a process: it keeps the first camera that it is told for ever."""
+    """ORB-SLAM3 on rectified pairs, one a process: its first camera stays for ever."""
 
     def __init__(self, camera: CameraCalibration, words: Path) -> None:
         from pyorbslam3 import Sensor, Slam

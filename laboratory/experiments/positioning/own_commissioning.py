@@ -1,5 +1,6 @@
 """A drawn machine that commissions itself: `longreach commission` in simulated time, and its own file."""
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -22,7 +23,11 @@ _EMPTY = {"plant": {"payload": {"mass_kg": 0.0}}}  # the servo is off meanwhile:
 
 
 def own_commissioning(
-    config_dir: Path, asked: dict[str, Any], seed: int, condition: EyeCondition
+    config_dir: Path,
+    asked: dict[str, Any],
+    seed: int,
+    condition: EyeCondition,
+    joints: Sequence[int] = range(N_JOINTS),
 ) -> Commissioned:
     """The file that the machine of the overrides ``asked`` makes of itself, its tool empty.
 
@@ -30,7 +35,7 @@ def own_commissioning(
     trials off, or for which a joint's numbers are refused: as for a user, there is no file then.
     """
     settings = load_settings(config_dir, merged(asked, _EMPTY))
-    world = World(with_excitation(settings, range(N_JOINTS)), seed, RunLog())
+    world = World(with_excitation(settings, joints), seed, RunLog())
     eyes = eyes_with(world, simulated_sight(world, load_eye_model(config_dir, condition), seed))
     recordings: list[JointRecording] = []
     ended = excite_in_lockstep(world, recordings.append, lambda _progress, _note: None, eyes)

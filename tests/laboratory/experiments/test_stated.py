@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from controller.commissioning import commissioned_config
+from foundation.configuration import merged, parse_overrides
 from laboratory.experiments.positioning.corrected_run import adapting, settings_of
-from laboratory.experiments.positioning.worlds import ARMS, STATED
+from laboratory.experiments.positioning.own_commissioning import own_commissioning
+from laboratory.experiments.positioning.worlds import ARMS, STATED, WORLDS, WorldName
 from nominal_arm.commissioned import found_numbers
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
@@ -50,6 +52,20 @@ def test_what_is_stated_errs_by_what_it_says() -> None:
         z.append((loop.value - 0.035) / loop.std)
     assert 0.3 < np.std(z) < 2.0
     assert abs(np.mean(z)) < 1.2
+
+
+@pytest.mark.slow("a joint is tried out")
+def test_a_machine_that_commissions_itself_finds_its_own_valve() -> None:
+    asked = task(ARMS[0], commissioned=True)
+    settings = settings_of(CONFIGS, asked)
+    plates = {"controller": {"valves": {"name": "mobile", "pressure_compensated": True}}}
+    overrides = merged(parse_overrides(["plant.valve_set=mobile"]), plates)
+    found = own_commissioning(CONFIGS, overrides, 5, WORLDS[WorldName.LAB].eyes, [1])
+    valve = settings.plant.valves.of("lift", settings.plant.actuators.lift.rated_flow_l_min)
+    supply_a, return_b, _, _ = valve.deadband
+    edge = found.valves.lift.raising.deadband
+    assert edge.value == pytest.approx(max(supply_a, return_b), rel=0.05)
+    assert found.made_by != STATED
 
 
 def test_nothing_is_stated_unless_it_is_asked_for() -> None:

@@ -52,11 +52,11 @@ def test_joint_states_are_young_on_a_machine_that_does_nothing_else(enabled: Tal
 
 def assert_followed(enabled: Talk) -> float:
     """The age of joint_states on the way that one in a hundred exceeds, ms."""
-    wanted = np.array(enabled.joints()) + WAY
+    target = np.array(enabled.joints()) + WAY
     enabled.ages()
-    status, code, text = enabled.follow(**goal(wanted, 8.0))
+    status, code, text = enabled.follow(**goal(target, 8.0))
     ages_ms = np.array(enabled.ages())
-    off_mrad = 1e3 * np.abs(np.array(at_rest(enabled)) - wanted).max()
+    off_mrad = 1e3 * np.abs(np.array(at_rest(enabled)) - target).max()
     p50, p99 = np.percentile(ages_ms, (50, 99))
     ages = f"{len(ages_ms)} joint_states, age p50 {p50:.1f} ms, p99 {p99:.1f} ms"
     print(f"off the goal {off_mrad:.2f} mrad; {ages}")

@@ -11,6 +11,8 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
+from protocol.errors import ConfigurationError
+from testbed.camera.pairs import require_whole, write_whole_film
 from testbed.cli.main import app
 from tests.support.paths import CONFIGS
 from tests.vision_pc.config.test_camera_files import ZED
@@ -135,3 +137,13 @@ def test_a_zed_file_is_converted_and_a_bad_size_is_named(tmp_path: Path) -> None
     asked = ended("convert", zed)
     assert asked.exit_code == 2
     assert "give --size WIDTHxHEIGHT of one eye" in asked.stderr
+
+
+def test_a_film_that_a_full_disk_cut_is_not_whole(tmp_path: Path) -> None:
+    film = tmp_path / "cut.avi"
+    pair = pair_with(0.0)
+    pairs = [pair._replace(frame_id=k) for k in range(3)]
+    write_whole_film(pairs, film)
+    film.write_bytes(film.read_bytes()[: int(0.9 * film.stat().st_size)])
+    with pytest.raises(ConfigurationError, match="not all of 3 pairs"):
+        require_whole(film, 3)

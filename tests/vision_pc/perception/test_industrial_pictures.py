@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import FrameRefused
+from vision_pc.config.camera import GenicamSettings
 from vision_pc.core.perception.pair_matching import EyePicture, PairMatcher
 from vision_pc.core.perception.pixel_formats import grey_levels
 from vision_pc.core.types import StereoPair
@@ -81,6 +82,11 @@ def test_cameras_that_run_freely_are_refused_by_name(common: bool) -> None:
     with pytest.raises(FrameRefused, match="trigger both cameras by one line") as refused:
         matched(PairMatcher(MS, common_clock=common), eyes(left, right))
     assert refused.value.cause == "measurement.camera.unpaired"
+
+
+def test_two_eyes_are_two_cameras() -> None:
+    with pytest.raises(ValueError, match="each eye is a camera of its own"):
+        GenicamSettings(left="10.0.0.1", right="10.0.0.1")
 
 
 def test_a_picture_shown_again_and_a_clock_that_begins_anew_make_no_false_pair() -> None:

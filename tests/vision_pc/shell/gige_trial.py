@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable
 
 from foundation.configuration import load, parse_overrides
+from testbed.camera.fake_gige import FakeGigeCamera
 from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.cameras.aravis import FakeGigeCamera
 
 PERIOD_NS = 50_000_000
 OURS = (
@@ -48,7 +48,7 @@ async def main(overrides: list[str]) -> None:
     document = parse_overrides(list(last.values()))["vision"]
     source = open_camera(load(VisionConfig, CONFIGS / "vision.yaml", document).camera)
     await source.start()
-    pairs, told = [], []
+    pairs, reports = [], []
     ends = time.monotonic() + 4.0
     try:
         async for pair in source.pairs():
@@ -56,18 +56,20 @@ async def main(overrides: list[str]) -> None:
             if time.monotonic() > ends:
                 break
     except Exception as error:
-        told.append(f"{getattr(error, 'cause', '')}: {error}")
+        reports.append(f"{getattr(error, 'cause', '')}: {error}")
     if pairs:
         eyes[1].camera.close()
         before = source.status().frames
         await _until(lambda: source.status().trouble is not None, ends + 20.0)
-        told.append(source.status().trouble)
+        reports.append(source.status().trouble)
         eyes[1] = Eye("127.0.0.2", 100)
         await _until(lambda: source.status().frames > before + 3, ends + 40.0)
-        told.append(source.status().frames > before + 3)
+        reports.append(source.status().frames > before + 3)
     status = source.status()
     await source.close()
-    print(json.dumps({"pairs": pairs, "told": told, "dropped": status.dropped, "detail": status.detail}))
+    print(
+        json.dumps({"pairs": pairs, "reports": reports, "dropped": status.dropped, "detail": status.detail})
+    )
 
 
 if __name__ == "__main__":

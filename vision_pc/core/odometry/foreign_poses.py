@@ -88,9 +88,9 @@ class ForeignOdometry:
         return se3.interpolate(poses[after - 1].X_WC, poses[after].X_WC, float(fraction))
 
     def _refuse_jumps(self, poses: tuple[TimedPose, ...]) -> None:
-        """Of the poses since the last look; before the first pair a jump does no harm."""
+        """Of the poses since the last call; before the first pair only the newest counts, and no jump."""
         asked = self._settings
-        for before, after in pairwise(poses):
+        for before, after in pairwise(poses if self._first is not None else poses[-2:]):
             if after.time_ns <= self._checked_ns:
                 continue
             late_s = 1e-9 * (after.arrived_ns - after.time_ns)

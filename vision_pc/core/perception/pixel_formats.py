@@ -7,14 +7,16 @@ from protocol.errors import FrameRefused
 from vision_pc.core.types import Image
 
 # OpenCV names a mosaic by its second row, from the second column on; GenICam by its first.
-_MOSAICS = {
-    0x01080008: ("BayerGR8", cv2.COLOR_BayerGB2GRAY),
-    0x01080009: ("BayerRG8", cv2.COLOR_BayerBG2GRAY),
-    0x0108000A: ("BayerGB8", cv2.COLOR_BayerGR2GRAY),
-    0x0108000B: ("BayerBG8", cv2.COLOR_BayerRG2GRAY),
+MOSAIC_TO_GREY = {
+    "RG": cv2.COLOR_BayerBG2GRAY,
+    "GR": cv2.COLOR_BayerGB2GRAY,
+    "GB": cv2.COLOR_BayerGR2GRAY,
+    "BG": cv2.COLOR_BayerRG2GRAY,
 }
+"""The first row of a mosaic's colours → OpenCV's code."""
+_MOSAICS = {0x01080008: "GR", 0x01080009: "RG", 0x0108000A: "GB", 0x0108000B: "BG"}
 _MONO8, _MONO10, _MONO10P, _MONO12 = 0x01080001, 0x01100003, 0x010A0046, 0x01100005
-_NAMES = ("Mono8", "Mono10", "Mono10p", "Mono12", *(name for name, _ in _MOSAICS.values()))
+_NAMES = ("Mono8", "Mono10", "Mono10p", "Mono12", *(f"Bayer{row}8" for row in _MOSAICS.values()))
 
 
 def grey_levels(data: bytes, width: int, height: int, pixel_format: int, source: str) -> Image:
@@ -28,13 +30,13 @@ def grey_levels(data: bytes, width: int, height: int, pixel_format: int, source:
         picture = raw.reshape(height, width)
         if pixel_format == _MONO8:
             return picture.copy()
-        return np.asarray(cv2.cvtColor(picture, _MOSAICS[pixel_format][1]), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(picture, MOSAIC_TO_GREY[_MOSAICS[pixel_format]]), dtype=np.uint8)
     if pixel_format in (_MONO10, _MONO12):
         shift = 2 if pixel_format == _MONO10 else 4
         return (_taken(data, count, np.dtype("<u2"), source) >> shift).astype(np.uint8).reshape(height, width)
     if pixel_format == _MONO10P:
         return _unpacked(data, count, source).reshape(height, width)
-    why = f"{source}: pixels of format {pixel_format:#010x} came; one of {', '.join(_NAMES)} is wanted"
+    why = f"{source}: pixels of format {pixel_format:#010x} came; known are {', '.join(_NAMES)}"
     raise FrameRefused("frame.wrong_pixels", why)
 
 

@@ -5,9 +5,8 @@ library with `apt-get install libaravis-0.8-0` (LGPL, loaded when a camera asks 
 """
 
 import ctypes
-import socket
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from typing import Any, NamedTuple
@@ -17,7 +16,6 @@ from protocol.errors import ConfigurationError, LinkLost
 _LIBRARY = "libaravis-0.8.so.0"
 _POINTER, _TEXT, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_double
 _BUFFERS = 8
-_GVCP_PORT = 3956
 _SUCCESS = 0  # ARV_BUFFER_STATUS_SUCCESS
 _CONTINUOUS = 0  # ARV_ACQUISITION_MODE_CONTINUOUS
 
@@ -57,13 +55,8 @@ _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "buffer_get_image_width": (_INT, _POINTER),
     "buffer_get_image_height": (_INT, _POINTER),
     "buffer_get_image_pixel_format": (ctypes.c_uint32, _POINTER),
-    "buffer_set_timestamp": (None, _POINTER, ctypes.c_uint64),
     "stream_push_buffer": (None, _POINTER, _POINTER),
     "stream_timeout_pop_buffer": (_POINTER, _POINTER, ctypes.c_uint64),
-    "gv_fake_camera_new": (_POINTER, _TEXT, _TEXT),
-    "gv_fake_camera_is_running": (_INT, _POINTER),
-    "gv_fake_camera_get_fake_camera": (_POINTER, _POINTER),
-    "fake_camera_set_fill_pattern": (None, _POINTER, _POINTER, _POINTER),
 }
 
 
@@ -76,11 +69,15 @@ class Aravis:
         except OSError as error:
             why = "cameras of source genicam need Aravis: apt-get install libaravis-0.8-0"
             raise ConfigurationError("extension.not_installed", f"{why} ({error})") from error
-        for name, (result, *arguments) in _FUNCTIONS.items():
-            function = getattr(library, f"arv_{name}")
-            function.restype, function.argtypes = result, arguments
         self._library, self._free = library, objects.g_object_unref
         self._free.restype, self._free.argtypes = None, [_POINTER]
+        self.declare(_FUNCTIONS)
+
+    def declare(self, functions: Mapping[str, tuple[Any, ...]]) -> None:
+        """Say what functions return and take, in the form of ``_FUNCTIONS``."""
+        for name, (result, *arguments) in functions.items():
+            function = getattr(self._library, f"arv_{name}")
+            function.restype, function.argtypes = result, arguments
 
     def call(self, name: str, *arguments: Any) -> Any:
         """What ``arv_name`` returns, of those that do not fail."""
@@ -199,49 +196,3 @@ class GenicamDevice:
             return self._arv.ask(f"camera_{name}", self._camera, *arguments)
         except LinkLost as error:
             raise LinkLost(error.cause, f"camera {self.name}: {error}") from error
-
-
-def _refuse_taken(address: str) -> None:
-    """Aravis shares its port with whoever has it: two cameras would answer in turn."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
-        try:
-            tried.bind((address, _GVCP_PORT))
-        except OSError as error:
-            why = f"{address}, UDP port {_GVCP_PORT}: {error.strerror or error}"
-            raise LinkLost("link.address_taken", why) from error
-
-
-Fill = Callable[[int, int], tuple[bytes, int]]
-"""Width and height → the pixels (grey, 8 bits) and their capture time on the camera's clock (ns)."""
-_FILL = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
-
-
-class FakeGigeCamera:
-    """A GigE Vision camera of Aravis' own on an address of this machine; ``fill`` gives its pictures.
-
-    Raises LinkLost (``link.address_taken``) where it cannot listen there.
-    """
-
-    def __init__(self, address: str, serial: str, fill: Fill) -> None:
-        self._arv = aravis()
-        _refuse_taken(address)
-        self._camera = self._arv.call("gv_fake_camera_new", address.encode(), serial.encode())
-        if not self._camera or not self._arv.call("gv_fake_camera_is_running", self._camera):
-            self._arv.release(self._camera)
-            raise LinkLost("link.address_taken", f"{address}: no address of a network interface here")
-
-        def filled(buffer: int, _user: int, _exposure: int, _gain: int, _pixel_format: int) -> None:
-            width, height = (self._arv.call(f"buffer_get_image_{w}", buffer) for w in ("width", "height"))
-            pixels, stamp_ns = fill(width, height)
-            size = ctypes.c_size_t()
-            ctypes.memmove(self._arv.call("buffer_get_data", buffer, ctypes.byref(size)), pixels, len(pixels))
-            self._arv.call("buffer_set_timestamp", buffer, stamp_ns)
-
-        self._filled = _FILL(filled)  # kept: the library holds its address alone
-        inner = self._arv.call("gv_fake_camera_get_fake_camera", self._camera)
-        self._arv.call("fake_camera_set_fill_pattern", inner, ctypes.cast(self._filled, _POINTER), None)
-
-    def close(self) -> None:
-        """End it."""
-        self._arv.release(self._camera)
-        self._camera = None

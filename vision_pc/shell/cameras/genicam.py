@@ -14,6 +14,7 @@ from vision_pc.shell.cameras.stream import StreamClock
 
 _RETRY_S = 1.0
 _POLL_S = 0.005
+_FRAME_NUMBERS = 0xFFFF  # of GVSP: 1 to 65535, then 1 again
 _SAME_CLOCK_NS = -50_000_000, 10_000_000_000  # [D] from a stamp to its picture; another clock is years away
 _READ_BACK = 0.02  # [D] a camera's own steps; beyond this part of what was set it is another setting
 
@@ -117,7 +118,8 @@ class _Eye:
         if self._last is not None:
             if raw.stamp_ns < self._last.stamp_ns:
                 self._clock = StreamClock()  # the camera began anew
-            self.lost += max((raw.frame_id - self._last.frame_id) % 0x10000 - 1, 0) if raw.frame_id else 0
+            gap = (raw.frame_id - self._last.frame_id) % _FRAME_NUMBERS - 1
+            self.lost += max(gap, 0) if raw.frame_id else 0
         self._last = raw
         picture = grey_levels(
             raw.data, raw.width, raw.height, raw.pixel_format, f"camera {self._device.name}"

@@ -30,7 +30,7 @@ _SURE = 3.0  # [D] standard deviations: the best of six is ahead of an equal by 
 LEAST = 12  # [D] samples: with fewer a half cannot tell camera from robot noise
 
 
-class Held(NamedTuple):
+class PredictionErrors(NamedTuple):
     """Squared errors (n,) of predicting the other half: ``rotation`` rad², ``translation`` m²."""
 
     rotation: Array
@@ -45,7 +45,7 @@ class EstimatorChoice(NamedTuple):
     behind: float
 
 
-def chosen(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> EstimatorChoice:
+def choose_estimator(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> EstimatorChoice:
     """What to estimate ``pairs`` by, where maximum likelihood with both noises gave X, Z (4, 4), ``noise``.
 
     It stays unless two-fold hold-out puts it more than 2 % behind the best classical method, in rotation or
@@ -56,12 +56,12 @@ def chosen(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> EstimatorChoic
     classical = _errors(pairs, {one: _classical(one) for one in _COMPARED})
     if not classical:
         return EstimatorChoice(None, 1.0)
-    best = Held(*(min(column, key=np.sum) for column in zip(*classical.values(), strict=True)))
+    best = PredictionErrors(*(min(column, key=np.sum) for column in zip(*classical.values(), strict=True)))
     by_source = {source: _likely(source, X, Z, noise) for source in NoiseSource}
     likely = _errors(pairs, by_source)
     if NoiseSource.BOTH not in likely or not _contradicted(likely[NoiseSource.BOTH], best):
         return EstimatorChoice(None, 1.0)
-    behind = {one: _behind(held, best) for one, held in (*likely.items(), *classical.items())}
+    behind = {one: _behind(errors, best) for one, errors in (*likely.items(), *classical.items())}
     first = min(behind, key=behind.__getitem__)
     return EstimatorChoice(None if first is NoiseSource.BOTH else first, behind[NoiseSource.BOTH])
 
@@ -90,10 +90,10 @@ def _likely(
 
 def _errors(
     pairs: PosePairs, estimators: Mapping[_K, Callable[[PosePairs], tuple[Array, Array]]]
-) -> dict[_K, Held]:
+) -> dict[_K, PredictionErrors]:
     """Estimator → its errors; one that fails on a half is left out."""
     even = np.arange(len(pairs)) % 2 == 0
-    held: dict[_K, Held] = {}
+    errors: dict[_K, PredictionErrors] = {}
     for name, estimate in estimators.items():
         parts = []
         try:
@@ -103,20 +103,20 @@ def _errors(
         except MeasurementFailed:
             continue
         r = np.concatenate(parts)
-        held[name] = Held(np.sum(r[:, 3:] ** 2, axis=1), np.sum(r[:, :3] ** 2, axis=1))
-    return held
+        errors[name] = PredictionErrors(np.sum(r[:, 3:] ** 2, axis=1), np.sum(r[:, :3] ** 2, axis=1))
+    return errors
 
 
-def _behind(held: Held, best: Held) -> float:
+def _behind(errors: PredictionErrors, best: PredictionErrors) -> float:
     """The worse of rotation and translation, over the best."""
     return max(
         float(np.sqrt(np.mean(mine) / max(float(np.mean(least)), 1e-24)))
-        for mine, least in zip(held, best, strict=True)
+        for mine, least in zip(errors, best, strict=True)
     )
 
 
-def _contradicted(held: Held, best: Held) -> bool:
-    for mine, least in zip(held, best, strict=True):
+def _contradicted(errors: PredictionErrors, best: PredictionErrors) -> bool:
+    for mine, least in zip(errors, best, strict=True):
         further = mine - least
         by_chance = float(further.std(ddof=1)) / np.sqrt(len(further))
         behind = float(np.mean(mine)) > BEHIND**2 * float(np.mean(least))

@@ -109,7 +109,7 @@ def _by_hold_out(
     The information in the latter counts by the square of how far the former was behind: what misled the one
     is no smaller for the other.
     """
-    choice = held_out.chosen(agreeing, estimate.X, estimate.Z, noise)
+    choice = held_out.choose_estimator(agreeing, estimate.X, estimate.Z, noise)
     if choice.estimator is None:
         return estimate, noise, []
     equations = Equations(agreeing.H, agreeing.P, np.ones(len(agreeing)), agreeing.setup)
