@@ -54,6 +54,8 @@ COUPLERS_MEANT = {
     "2.6 does not count frames": 823, "2.6 sub-function 14 is frames": 821,
     "3.1 read with 4: lacks 0x1000": 831, "3.1 written with 16: lacks 0x1120": 856,
     "5.5 begins_anew is False": 895, "5.3 its time is 1.4 times": 871, "4.3 not released by silence": 868,
+    "3.1 23 delivers double words high word first": 924, "3.1 4 delivers the sign of each word lost": 924,
+    "10.6 23 reads inputs of the request before": 925, "10.6 4 reads inputs of the request before": 925,
     "2.9 a torn image acts": 914, "2.9 -32768 is taken in a torn image": 915,
 }  # fmt: skip
 

@@ -170,6 +170,8 @@ def test_plc_watch_writes_rows_until_the_plc_goes_silent(
         assert list(times_s) == sorted(times_s)
         assert counts[-1] > counts[0]
         assert set(gains) == {2.5}
+        assert seen.variables["MAIN.nCount"]["most"] == counts[-1]
+        assert seen.variables["MAIN.nCount"]["changes"] > 0
         threading.Timer(0.3, running_one.close).start()
         assert "link.plc" in watch_values(plc, ["MAIN.nCount"], 0.01, None, path).silent
     assert len(path.read_text().splitlines()) > 2

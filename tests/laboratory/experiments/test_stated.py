@@ -60,11 +60,13 @@ def test_a_machine_that_commissions_itself_finds_its_own_valve() -> None:
     settings = settings_of(CONFIGS, asked)
     plates = {"controller": {"valves": {"name": "mobile", "pressure_compensated": True}}}
     overrides = merged(parse_overrides(["plant.valve_set=mobile"]), plates)
-    found = own_commissioning(CONFIGS, overrides, 5, WORLDS[WorldName.LAB].eyes, [1])
-    valve = settings.plant.valves.of("lift", settings.plant.actuators.lift.rated_flow_l_min)
-    supply_a, return_b, _, _ = valve.deadband
-    edge = found.valves.lift.raising.deadband
-    assert edge.value == pytest.approx(max(supply_a, return_b), rel=0.05)
+    found = own_commissioning(CONFIGS, overrides, 5, WORLDS[WorldName.LAB].eyes, [2])
+    valve = settings.plant.valves.of("tilt", settings.plant.actuators.tilt.rated_flow_l_min)
+    _, _, supply_b, return_a = valve.deadband
+    assert return_a > 1.03 * supply_b, "its return edge opens last"
+    edge = found.valves.tilt.lowering.deadband
+    assert edge.value == pytest.approx(return_a, rel=0.015)
+    assert "return edge, which opens last" in edge.recording
     assert found.made_by != STATED
 
 

@@ -145,9 +145,6 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     n = len(p.H)
     majority = (n + 4) // 2
     weights = triple_weights(n)
-    least = _TURNS * second_turn(p.H)
-    turning = np.array([second_turn(p.H[triple > 0.5]) >= least for triple in weights])
-    weights = weights[turning] if turning.any() else weights
     X, Z = start_of(p, weights)
     turns, shifts = misfits(p, X, Z)
     score = _quantile(turns, majority) * _quantile(shifts, majority)
