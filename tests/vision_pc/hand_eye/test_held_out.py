@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 from laboratory.experiments.hand_eye import scenes
+from protocol.errors import MeasurementFailed
 from testbed.hand_eye.presentation import hold_out
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
-from vision_pc.core.hand_eye.solvers import lens, methods
+from vision_pc.core.hand_eye.solvers import held_out, lens, maximum_likelihood, methods
 from vision_pc.core.hand_eye.solvers.consensus import agreeing, second_turn
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.solvers.methods import CLASSICAL
 from vision_pc.core.se3 import Array
 
@@ -86,6 +88,18 @@ def test_most_samples_of_one_orientation_are_a_good_set(seed: int) -> None:
     assert found.inliers.sum() >= 49
     assert np.linalg.norm(found.X[:3, 3] - X[:3, 3]) < 2e-3
     assert np.degrees(se3.angle_between(found.X[:3, :3], X[:3, :3])) < 0.3
+
+
+def test_halves_that_turn_about_one_axis_are_not_asked() -> None:
+    pairs, X = grid_then_turns(3)  # one turned sample in the odd half, so X is free along its axis
+    Z = stacks.mean_pose(pairs.H @ X @ pairs.P)
+    assert held_out.choose_estimator(pairs, X, Z, Noise(1e-3, 1e-3)) == (None, 1.0)
+
+
+def test_information_without_an_inverse_is_refused_by_name() -> None:
+    with pytest.raises(MeasurementFailed, match="undetermined") as refused:
+        maximum_likelihood.covariance(np.diag([1.0, 0.0]))
+    assert refused.value.cause == "measurement.hand_eye.singular"
 
 
 def test_a_hypothesis_grows_until_it_turns_about_two_axes() -> None:

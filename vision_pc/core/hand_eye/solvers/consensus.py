@@ -11,9 +11,10 @@ samples, that of Z as a chordal mean, both translations from least squares. It h
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Setup
@@ -165,12 +166,16 @@ def second_turn(H: Array) -> float:
     return float(np.linalg.svd(turns, compute_uv=False)[1]) / math.sqrt(len(H))
 
 
+def turn_like_all(H: Array, some: NDArray[Any]) -> bool:
+    """Whether the hands ``H[some]`` turn about a second axis as those of all samples (n, 4, 4) do."""
+    return second_turn(H[some]) >= _TURNS * second_turn(H)
+
+
 def agreeing(H: Array, sizes: Array, count: int) -> Array:
     """Weights (n,), 1 for the ``count`` samples of least ``sizes``, and as many more as turn about two axes:
     where most samples share one orientation, the best alone would not."""
     order = np.argsort(sizes, kind="stable")
-    least = _TURNS * second_turn(H)
-    while count < len(order) and second_turn(H[order[:count]]) < least:
+    while count < len(order) and not turn_like_all(H, order[:count]):
         count += 1
     weights = np.zeros(len(order))
     weights[order[:count]] = 1.0

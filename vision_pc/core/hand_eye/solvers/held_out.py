@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core import se3_stacks as stacks
@@ -16,6 +17,7 @@ from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
 from vision_pc.core.hand_eye.solvers.classical import Classical, from_poses
+from vision_pc.core.hand_eye.solvers.consensus import turn_like_all
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import all_motions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
@@ -49,9 +51,11 @@ def choose_estimator(pairs: PosePairs, X: Array, Z: Array, noise: Noise) -> Esti
     """What to estimate ``pairs`` by, where maximum likelihood with both noises gave X, Z (4, 4), ``noise``.
 
     It stays unless two-fold hold-out puts it more than 2 % behind the best classical method, in rotation or
-    in translation, and beyond chance; then the estimator that is least behind is taken.
+    in translation, and beyond chance; then the estimator that is least behind is taken. A half whose hands
+    turn about one axis only leaves X free, and then nothing is asked.
     """
-    if len(pairs) < LEAST:
+    halves = _halves(len(pairs))
+    if len(pairs) < LEAST or not all(turn_like_all(pairs.H, half) for half in halves):
         return EstimatorChoice(None, 1.0)
     classical = _errors(pairs, {one: _classical(one) for one in _COMPARED})
     if not classical:
@@ -88,16 +92,20 @@ def _likely(
     return estimate
 
 
+def _halves(samples: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    even = np.arange(samples) % 2 == 0
+    return even, ~even
+
+
 def _errors(
     pairs: PosePairs, estimators: Mapping[_K, Callable[[PosePairs], tuple[Array, Array]]]
 ) -> dict[_K, PredictionErrors]:
     """Estimator → its errors; one that fails on a half is left out."""
-    even = np.arange(len(pairs)) % 2 == 0
     errors: dict[_K, PredictionErrors] = {}
     for name, estimate in estimators.items():
         parts = []
         try:
-            for fold in (even, ~even):
+            for fold in _halves(len(pairs)):
                 other = pairs.subset(~fold)
                 parts.append(ml.residuals(other.H, other.P, *estimate(pairs.subset(fold))))
         except MeasurementFailed:

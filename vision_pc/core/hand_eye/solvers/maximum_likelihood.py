@@ -149,8 +149,19 @@ def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int 
 
 
 def covariance_of_X(estimate: Estimate) -> Array:
-    """The covariance (6, 6) of X's perturbation [δp; δθ] in hand axes, m² and rad², with Z unknown."""
-    return np.asarray(np.linalg.inv(estimate.information)[:6, :6])
+    """The covariance (6, 6) of X's perturbation [δp; δθ] in hand axes, m² and rad², with Z unknown.
+
+    Raises MeasurementFailed as ``covariance`` does.
+    """
+    return covariance(estimate.information)[:6, :6]
+
+
+def covariance(information: Array) -> Array:
+    """The inverse of ``information`` (k, k).
+
+    Raises MeasurementFailed (``measurement.hand_eye.singular``) when it has none.
+    """
+    return _solved(information, np.eye(len(information)))
 
 
 def _linearised(equations: Equations, X: Array, Z: Array, noise: Noise) -> tuple[Array, Array, float]:
@@ -169,10 +180,15 @@ def cost(equations: Equations, X: Array, Z: Array, noise: Noise) -> float:
 
 
 def _solve_damped(information: Array, gradient: Array, damping: float) -> Array:
+    return _solved(information, gradient[:, None], damping)[:, 0]
+
+
+def _solved(information: Array, right: Array, damping: float = 0.0) -> Array:
+    """The columns (k, m) that ``information`` (k, k), its scaled diagonal damped, maps to ``right``."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(scale, scale) + damping * np.eye(len(scale))
     try:
-        return np.asarray(np.linalg.solve(scaled, gradient / scale) / scale)
+        return np.asarray(np.linalg.solve(scaled, right / scale[:, None]) / scale[:, None])
     except np.linalg.LinAlgError as error:
         raise MeasurementFailed(
             "measurement.hand_eye.singular",

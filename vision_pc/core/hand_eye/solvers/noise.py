@@ -150,7 +150,7 @@ def _shown_and_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, 
     K = W @ parts @ np.swapaxes(W, -1, -2)
     J = (W @ linear.slope).reshape(-1, linear.slope.shape[-1])
     r = (W @ linear.residuals[..., None]).reshape(-1)
-    covariance = np.linalg.inv(J.T @ J)
+    covariance = ml.covariance(J.T @ J)
     r = r - J @ (covariance @ (J.T @ r))
 
     def across(columns: Array) -> Array:
