@@ -26,6 +26,7 @@ LIMIT_MM = 1e3 * LIMIT_M
 CONFIDENT = 0.8  # predicted probability above which an end outside is an overconfident failure
 NEES_BAND = (0.8, 1.25)
 COVERED_BAND = (0.92, 0.98)
+_DISTANCES_M = (0.3, 0.6, 0.9, 1.2)  # of the object from the tool at the start
 _BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.999, 1.0)
 
 
@@ -171,6 +172,10 @@ def _look_checks(rows: Sequence[PositioningRow], judged: bool) -> list[Check]:
     for where, (branch, when) in places.items():
         seen = predictions(rows, branch, when)
         checks += prediction_checks(f"a look {where}", seen, worst_mm(rows, branch), judged)[:2]
+    for near, far in pairwise(_DISTANCES_M):
+        apart = [row for row in rows if near <= row.distance_m < far]
+        seen, what = predictions(apart, "look1", "first"), f"a look from {near:g} to {far:g} m"
+        checks += prediction_checks(what, seen, worst_mm(apart, "look1"), False)[:2] if apart else []
     return checks
 
 
