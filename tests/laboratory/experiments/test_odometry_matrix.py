@@ -91,6 +91,8 @@ def test_an_arm_tells_about_the_cameras_motion_and_not_the_truth() -> None:
     ("kind", "seed", "located"),
     [
         ("mover_60", 1320, 0),  # a board is all that is seen at the end, with the wall in a corner
+        ("mover_80", 77102, 0.45),  # a board came in, and a new map followed it for 1.1 m
+        ("mover_80", 77103, 0.45),  # all that a new keyframe showed was the board: 344 mm
         ("slow_mover", 46101, 0),  # 26 mm off once, in a map begun after two motions were seen
         ("slow_mover_arm", 46261, 0),  # 19 mm once: a slow board had passed for a rolling shutter
         ("left_out_10", 46305, 0.9),

@@ -1,5 +1,6 @@
 """Which motion is believed: depths known badly put all of their points off, a slow thing but some."""
 
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -26,6 +27,36 @@ class Shown:
         self.ids = ids
 
 
+def numbered(frame_id: int) -> Frame:
+    """A pair of which only the number is asked."""
+    return cast("Frame", SimpleNamespace(pair=SimpleNamespace(frame_id=frame_id)))
+
+
+@pytest.mark.parametrize(("pairs_later", "believed"), [(1, False), (6, False), (7, True)])
+def test_what_nobody_foresaw_so_soon_after_a_second_motion_may_be_that_one(
+    camera: CameraCalibration,
+    config: VisionConfig,
+    monkeypatch: pytest.MonkeyPatch,
+    pairs_later: int,
+    believed: bool,
+) -> None:
+    known = KeyframeMap(camera, 0.2)
+    x, y = np.random.default_rng(3).uniform((-0.6, -0.6), (0.6, 0.6), (COUNT, 2)).T
+    ids = known.add_points(se3.identity(), np.column_stack([x, y, np.full(COUNT, 2.0)]), 0.1)
+    shown = cast("Keyframe", Shown(ids))
+    pixels = intrinsics.project(camera.left, known.points[ids])
+    choice = MotionChoice(camera, config.odometry_of_recordings, known, doubted=False)
+    monkeypatch.setattr(choice, "_misses", lambda *asked: False)  # it is most of what should be seen
+    still = Foreseen(MotionPrior(se3.identity(), 3.0))
+    two = pixels + np.where(np.arange(COUNT) < THEIRS, 60.0, 0.0)[:, None] * (1.0, 0.0)
+    first = choice.chosen(numbered(1), FoundPoints(shown, shown, two), se3.identity(), still)
+    assert isinstance(first, SeenMotion)
+    assert first.moving.sum() == THEIRS
+    all_aside = FoundPoints(shown, shown, pixels + np.array([60.0, 0.0]))
+    later = choice.chosen(numbered(1 + pairs_later), all_aside, se3.identity(), still)
+    assert isinstance(later, SeenMotion) if believed else later == "sudden_motion"
+
+
 @pytest.mark.parametrize(("known_well", "moves"), [(0, False), (20, True)])
 def test_points_that_other_depths_put_right_are_a_second_motion_unless_all_are(
     camera: CameraCalibration, config: VisionConfig, known_well: int, moves: bool
@@ -44,7 +75,7 @@ def test_points_that_other_depths_put_right_are_a_second_motion_unless_all_are(
     choice = MotionChoice(camera, config.odometry_of_recordings, known, doubted=False)
     shown = cast("Keyframe", Shown(ids))
     tracked, foreseen = FoundPoints(shown, shown, pixels), Foreseen(MotionPrior(ASIDE, 50.0))
-    found = choice.chosen(cast("Frame", None), tracked, ASIDE, foreseen)
+    found = choice.chosen(numbered(1), tracked, ASIDE, foreseen)
     if moves:
         assert found == "two_motions"
     else:

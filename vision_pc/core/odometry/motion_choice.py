@@ -28,6 +28,7 @@ _STRICT = 0.35  # of ``RANSAC_PX``: one pose can hold the world and what is slow
 _DEPTHS = 3.0  # standard deviations of a point's depth
 _BY_DEPTH = 0.9  # of a second motion's points: such depths put all of them off, a slow thing but some
 _SECOND_POINTS = 12  # at least, of a second motion
+_LATELY = 6  # [D] pairs: what nobody foresaw so soon after a second motion may be that one
 _CONSENSUS, _FEWEST = 5, 6  # fits at most, and of so many points at least
 _GROSS = 4.0  # times what the arm's motion may differ by: nobody asked for more than that
 
@@ -64,6 +65,7 @@ class MotionChoice:
         self._settings = settings
         self._map = keyframe_map
         self._doubted = doubted
+        self._two_at = -_LATELY - 1  # the pair in which two motions were seen last
         self.mixed_since: int | None = None
         """The keyframe from which on both motions of the last picture were in the map; None: one was seen."""
 
@@ -86,6 +88,7 @@ class MotionChoice:
         if other is None:
             return self._single(frame, tracked, SeenMotion(X_CC0, inliers, np.zeros_like(inliers)), foreseen)
         X_theirs, theirs = other
+        self._two_at = frame.pair.frame_id
         number = foreseen.chosen((X_CC0, X_theirs), points, self._camera)
         self.mixed_since = max(self._map.shown_since(ids[one]) for one in (inliers, theirs))
         if isinstance(number, str):
@@ -98,7 +101,8 @@ class MotionChoice:
         """The ``only`` motion that is seen, or ``sudden_motion`` where it goes against what is known."""
         X_CC0, ids = only.X_CC0, tracked.found.ids
         unforeseen = not foreseen.agrees(X_CC0, self._map.points[ids], self._camera)
-        if unforeseen and self._misses(frame, tracked.whole, ids[only.inliers], X_CC0):
+        lately = frame.pair.frame_id - self._two_at <= _LATELY
+        if unforeseen and (lately or self._misses(frame, tracked.whole, ids[only.inliers], X_CC0)):
             return "sudden_motion"
         if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), _GROSS):
             return "sudden_motion"

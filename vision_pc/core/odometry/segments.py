@@ -45,6 +45,7 @@ def straightened(camera: CameraCalibration, seen: PointPairs) -> CameraCalibrati
 
 _RESTART_AFTER = 3  # [D] pairs lost in a row, then a new map
 _PATIENCE = 20  # [D] the same where two motions differ by millimetres a picture: centimetres then
+_OF_LIGHT = {"too_dark", "no_texture"}  # losses that nothing which moved can have brought about
 _REJOIN_EVERY = 2  # [D] pairs between two searches of the maps before
 
 
@@ -71,6 +72,7 @@ class SegmentedOdometry:
         self._straight = False
         self._X_BT: Array | None = None
         self._lost = self._since_search = 0
+        self._losses: set[str | None] = set()  # since a pair was located
         self.joints: list[Array | None] = [se3.identity()]
 
     def _begin_anew(self) -> None:
@@ -119,11 +121,12 @@ class SegmentedOdometry:
         pose = self._follow(self._current, pair)
         if pose is None:
             self._lost += 1
+            self._losses |= {self.last_loss}
             patience = _PATIENCE if self._maps[self._current].is_undecided else _RESTART_AFTER
             if self._lost < patience or not self._maps[self._current].keyframes:
                 return None
             return self._returned(pair) or self._begin_map(pair)
-        self._lost = 0
+        self._lost, self._losses = 0, set()
         if not self._straight and pose.pairs is not None:
             return self._restart_straightened(pair, pose.pairs)
         placed = PlacedPose(self._current, pose)
@@ -150,13 +153,14 @@ class SegmentedOdometry:
         for k in self._older():
             pose = self._follow(k, pair)
             if pose is not None:
-                self._current, self._lost = k, 0
+                self._current, self._lost, self._losses = k, 0, set()
                 return PlacedPose(k, pose)
         return None
 
     def _begin_map(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
-        doubted = any(one.trust.ambiguous for one in self._maps)
+        came_in = bool(self._losses - _OF_LIGHT)  # what moves may be all that is in view now
+        doubted = came_in or any(one.trust.ambiguous for one in self._maps)
         fresh = StereoOdometry(self._camera, self._settings, offset=self.offset, doubted=doubted)
         pose = fresh.process(pair, X_BT=self._X_BT)
         if pose is None:
@@ -164,7 +168,7 @@ class SegmentedOdometry:
         self._maps.append(fresh)
         self.joints.append(None)
         self._current = len(self._maps) - 1
-        self._lost = self._since_search = 0
+        self._lost, self._losses, self._since_search = 0, set(), 0
         return PlacedPose(self._current, pose)
 
     def _rejoined(self, pair: StereoPair, pose: OdometryPose) -> PlacedPose | None:
