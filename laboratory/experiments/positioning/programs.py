@@ -171,7 +171,7 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     world = merged(load_scenario(config_dir, scenario).world(seed), parse_overrides(task["assignments"]))
     programs = tuple(named_request(word) for word in task.get("program", ()))
     faults = fault_orders(task.get("fault", ()))
-    choice = Choice(scenario, seed, task["looks"], False, programs, faults, PositioningMethod.PAPER)
+    choice = Choice(scenario, seed, task["looks"], False, programs, faults, PositioningMethod(task["form"]))
     with bars(quiet=True) as shown:
         done = run_lockstep(config_dir, world, choice, shown)
     return row_of(done.outcome, world)
@@ -181,6 +181,9 @@ class ProgramsSettings(NamedTuple):
     """What is run."""
 
     looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
+    form: Annotated[PositioningMethod, typer.Option(help="As `longreach demo --method`.")] = (
+        PositioningMethod.PAPER
+    )
     scenario: Scenario = "standard"
     assignments: Assignments = None
     program: Annotated[
@@ -228,6 +231,7 @@ def programs_tasks(request: CampaignRequest, settings: ProgramsSettings) -> list
     assignments = settings.assignments or []
     load_settings(request.config_dir, merged(world, parse_overrides(assignments)))
     asked = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments}
+    asked |= {"form": str(settings.form)}
     asked |= _own(settings)
     return [{"key": f"seed-{seed}", "seed": seed} | asked for seed in seeds(request)]
 
