@@ -181,11 +181,6 @@ class Look(NamedTuple):
         """Standard deviations (3,) of the tool's place in a single frame, noise alone."""
         return _deviations(self.frame_cov_CM)[:3]
 
-    @property
-    def std_object_frame_m(self) -> Array:
-        """Standard deviations (3,) of the object's place in a single frame, noise alone."""
-        return _deviations(self.frame_cov_CO)[:3]
-
 
 def _deviations(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.diag(covariance)))

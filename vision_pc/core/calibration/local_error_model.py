@@ -315,25 +315,6 @@ def _velocities(p: Array, time_s: Array) -> Array:
     return np.asarray(np.gradient(p, np.maximum.accumulate(time_s + 1e-6 * np.arange(len(p))), axis=0))
 
 
-def planned_covariance(
-    X_BT: Array, speed: Array, steps: Array, dimensions: BoomDimensions, settings: LocalErrorModelSettings
-) -> Array:
-    """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3), were the model fitted to a track.
-
-    ``X_BT`` (n, 4, 4) and ``speed`` (n,) as ``LocalTrack`` would have them; no measurement is needed: the
-    information matrix depends on the path alone.
-    """
-    here = X_BT[-1]
-    h = backlash_sides(slew_angles(X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
-    columns = _columns(X_BT, h, here, dimensions)
-    Phi = columns.reshape(-1, columns.shape[2])
-    std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
-    information = Phi.T @ (Phi / std[:, None] ** 2) + np.diag(_prior(settings) ** -2.0)
-    covariance = np.asarray(np.linalg.inv(information))
-    blank = LocalErrorModel(np.eye(3), here, np.zeros(len(covariance)), covariance, 0.0, 1.0, dimensions)
-    return np.array([solve_step(blank, step)[1] for step in steps])
-
-
 def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:
     """R_TC (3×3): camera axes in the tool's, from the track and the tool marker's ``p_CM`` (3,)."""
     m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM

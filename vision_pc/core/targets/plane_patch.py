@@ -335,11 +335,6 @@ def _cubic(t: float) -> tuple[tuple[float, float, float, float], tuple[float, fl
     return weights, slopes
 
 
-def residual_spread(J: Array, residuals: Array, weights: Array) -> Array:
-    """The covariance (6, 6) of Jᵀ W r, as ``align`` takes it; J (n, n, 6), the others (n, n)."""
-    return np.asarray(_spread(J, residuals, weights, _LAGS))
-
-
 @kernel(nogil=True)
 def _spread(J: Array, residuals: Array, weights: Array, lags: int) -> Array:
     """The covariance (6, 6) of Jᵀ W r when residuals are as alike in neighbours as these are."""
