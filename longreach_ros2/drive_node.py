@@ -172,5 +172,5 @@ class DriveNode(Node):  # type: ignore[misc]
         status.hardware_id = self._hardware
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
         array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
+        array.header.stamp.sec, array.header.stamp.nanosec = self._drive.time.of(self._drive.link.now_ns)
         self._status.publish(array)
