@@ -39,6 +39,7 @@ def test_programs_wait_and_give_up_in_simulated_time() -> None:
     assert times == list(range(CLOCK_NS, times[-1] + 1, CLOCK_NS))
 
 
+@pytest.mark.slow("a pace and a pause are of real time")
 def test_a_pace_is_kept_and_a_pause_stands() -> None:
     async def program() -> None:
         start_s, start_ns = time.monotonic(), machine.time_ns

@@ -61,6 +61,7 @@ def drawn(folder: Path) -> Array:
     return np.random.default_rng(11).uniform(lower, upper, (POSES, len(lower)))
 
 
+@pytest.mark.slow("the first import of yourdfpy, with what it draws with")
 def test_yourdfpy_validates_and_has_our_poses_shapes_and_masses(folder: Path, settings: Settings) -> None:
     yourdfpy = pytest.importorskip("yourdfpy", reason="yourdfpy is absent: make peers")
     read = yourdfpy.URDF.load(str(folder / "arm.urdf"))
