@@ -43,6 +43,7 @@ COPY conformance conformance
 COPY dissector dissector
 COPY testbed testbed
 COPY longreach longreach
+COPY longreach_ros2 longreach_ros2
 COPY configs configs
 COPY laboratory laboratory
 RUN /opt/tools/bin/pip wheel --no-cache-dir --quiet --no-deps --no-build-isolation -w wheels . ./laboratory \

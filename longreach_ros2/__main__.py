@@ -1,9 +1,11 @@
-"""``longreach-ros2``: the arm in ROS 2. Drives it in the vision PC's place, or watches a live face."""
+"""``longreach-ros2``: the arm in ROS 2, in the vision PC's place or with an emulated machine, or to watch."""
 
 import argparse
 import importlib.util
+import math
 import sys
 from pathlib import Path
+from typing import Any
 
 from foundation.command_options import usual_configs
 from foundation.configuration import load, merged, parse_overrides
@@ -40,6 +42,14 @@ def _parser() -> argparse.ArgumentParser:
     mode.add_argument(
         "--watch", metavar="URL", help="watch a live face, such as ws://127.0.0.1:8765; move nothing"
     )
+    mode.add_argument(
+        "--lockstep",
+        action="store_true",
+        help="drive an emulated machine in this process, and publish /clock",
+    )
+    parser.add_argument(
+        "--pace", type=float, default=1.0, help="of --lockstep: times real time; 0: as fast as it is computed"
+    )
     parser.add_argument("--no-tf", action="store_true", help="leave /tf to a robot_state_publisher")
     parser.add_argument("--camera", action="store_true", help="show the camera of vision.camera too")
     parser.add_argument(
@@ -70,6 +80,10 @@ def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
     if arguments.controller is not None:
         overrides = merged(overrides, {"vision": {"link": _address(arguments.controller)}})
     files = arguments.config_dir
+    if arguments.lockstep:
+        _check_lockstep(arguments)
+        _run_lockstep(files, overrides, arguments, for_ros)
+        return
     arm = load(NominalArm, files / "arm.yaml", overrides.get("arm"))
     config = load(VisionConfig, files / "vision.yaml", overrides.get("vision"))
     from longreach_ros2 import running  # rclpy is imported here alone
@@ -79,6 +93,27 @@ def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
             running.drive(arm, config, log, for_ros, tf=not arguments.no_tf, camera=arguments.camera)
         else:
             running.watch(arguments.watch, log, for_ros)
+
+
+def _run_lockstep(
+    files: Path, overrides: dict[str, dict[str, Any]], arguments: argparse.Namespace, for_ros: list[str]
+) -> None:
+    from longreach_ros2 import running  # with rclpy, and the emulator
+    from longreach_ros2.lockstep import SimulatedMachine
+
+    machine = SimulatedMachine(files, overrides)
+    with process_log(_NAME) as log:
+        running.simulate(machine, arguments.pace, log, for_ros, tf=not arguments.no_tf)
+
+
+def _check_lockstep(arguments: argparse.Namespace) -> None:
+    if arguments.camera:
+        raise ConfigurationError(
+            "configuration.bad_value", "--camera: a machine in --lockstep shows no pictures"
+        )
+    if not (math.isfinite(arguments.pace) and arguments.pace >= 0.0):
+        words = "allowed are positive numbers, and 0 for as fast as it is computed"
+        raise ConfigurationError("configuration.bad_value", f"--pace {arguments.pace:g}: {words}")
 
 
 def _address(text: str) -> dict[str, str | int]:

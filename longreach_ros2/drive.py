@@ -16,6 +16,7 @@ from longreach_ros2.trajectories import (
     joint_path,
     limits_of,
     refused,
+    tolerance,
     tolerances,
 )
 from nominal_arm.description import NominalArm
@@ -88,7 +89,7 @@ class ArmDrive:
         at_the_goal = tolerances(getattr(message, "goal_tolerance", ()), GOAL_RAD)
         extra = getattr(message, "goal_time_tolerance", None)
         extra_s = extra.sec + _NS * extra.nanosec if extra else 0.0
-        return JointGoal(path, on_the_way, at_the_goal, extra_s)
+        return JointGoal(path, on_the_way, at_the_goal, tolerance("goal_time_tolerance, s", extra_s, np.inf))
 
     async def follow(self, goal: JointGoal, progress: Progress | None = None) -> None:
         """Follow a trajectory to rest at its goal; ``progress`` gets desired angles and rates now and then.
@@ -99,7 +100,7 @@ class ArmDrive:
             await self._stream(stream, goal, progress)
             ended_ns = self.link.now_ns
         late_s = _NS * (self.link.now_ns - ended_ns)
-        if 0.0 < goal.extra_s < late_s:
+        if late_s > goal.extra_s:
             words = f"at rest {late_s:.2f} s after the trajectory's end, limit {goal.extra_s:g} s"
             raise refused("goal_tolerance", words)
         check_within("goal", self.link.state.q_meas, goal.path.goal, goal.at_the_goal)

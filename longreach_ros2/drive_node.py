@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longreach_ros2.drive import ArmDrive, TopicStreams
 from longreach_ros2.kinematics import BASE, Array
 from longreach_ros2.ros_messages import DEPTH, chain, joint_state, pose_stamped
-from longreach_ros2.status import SUCCESSFUL, GoalOutcome, code_of, diagnosis
+from longreach_ros2.status import SUCCESSFUL, GoalOutcome, code_of, diagnosis, news_of
 from nominal_arm.description import JOINT_NAMES
 from protocol.errors import LongreachError
 from protocol.faults import CommandCode
@@ -47,6 +47,7 @@ class DriveNode(Node):  # type: ignore[misc]
         super().__init__(NAME)
         self._loop, self._drive, self._hardware = loop, drive, hardware
         self._streams = TopicStreams(drive)
+        self._news: tuple[int, ...] = ()
         self._together = ReentrantCallbackGroup()
         self._joint_states = self.create_publisher(JointState, "joint_states", DEPTH)
         self._tool_pose = self.create_publisher(PoseStamped, "~/tool_pose", DEPTH)
@@ -154,6 +155,9 @@ class DriveNode(Node):  # type: ignore[misc]
     def _heard(self, event: object) -> None:
         if isinstance(event, StateReceived):
             self._publish(event.state)
+            if (news := news_of(event.state)) != self._news:
+                self._news = news
+                self._publish_status()
 
     def _publish(self, state: State) -> None:
         stamp = self._drive.time.of(self._drive.link.local_time_ns(state.time_ns))
@@ -168,5 +172,5 @@ class DriveNode(Node):  # type: ignore[misc]
         status.hardware_id = self._hardware
         status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
         array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
+        array.header.stamp.sec, array.header.stamp.nanosec = self._drive.time.of(self._drive.link.now_ns)
         self._status.publish(array)

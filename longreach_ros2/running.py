@@ -15,9 +15,11 @@ from rclpy.signals import SignalHandlerOptions
 from foundation.event_log import EventLog
 from foundation.service_main import say_ready, when_asked_to_end
 from longreach_ros2.camera import show
+from longreach_ros2.clock import ClockPublisher
 from longreach_ros2.drive import ArmDrive
 from longreach_ros2.drive_node import DriveNode
 from longreach_ros2.live_face import live_messages
+from longreach_ros2.lockstep import OFFSET_NS, SimulatedMachine
 from longreach_ros2.references import RosTime
 from longreach_ros2.watch_node import TOPICS, WatchNode
 from nominal_arm.description import NominalArm
@@ -42,6 +44,11 @@ def drive(
     Raises LinkLost for an address that is none, ConfigurationError.
     """
     _run(_drive(arm, config, log, tf, open_camera(config.camera) if camera else None), for_ros)
+
+
+def simulate(machine: SimulatedMachine, pace: float, log: EventLog, for_ros: list[str], *, tf: bool) -> None:
+    """Drive ``machine``, which is in this process, and publish its /clock, until asked to end."""
+    _run(_simulate(machine, pace, log, tf), for_ros)
 
 
 def watch(url: str, log: EventLog, for_ros: list[str]) -> None:
@@ -70,6 +77,20 @@ async def _drive(
             await camera.close()
         await _end_goals()
         await endpoint.close()
+    log.write("stopped")
+
+
+async def _simulate(machine: SimulatedMachine, pace: float, log: EventLog, tf: bool) -> None:
+    arm, ros_time = machine.settings.arm, RosTime(OFFSET_NS)
+    driven = ArmDrive(
+        machine.link, LinkArm(machine.link, machine.settings.vision.motion), arm, machine, ros_time
+    )
+    node = DriveNode(asyncio.get_running_loop(), driven, arm.name, tf)
+    clock = ClockPublisher(node, machine)
+    with spinning(node, has_clock=True):
+        say_ready("longreach_ros2", lockstep={"pace": pace})
+        await asked_to_end(machine.run(pace, clock.publish))
+        await _end_goals()
     log.write("stopped")
 
 
@@ -109,13 +130,14 @@ async def asked_to_end(beside: Coroutine[Any, Any, None] | None) -> None:
 
 
 @contextmanager
-def spinning(node: Node) -> Iterator[None]:
+def spinning(node: Node, has_clock: bool = False) -> Iterator[None]:
     """A block in which the node's callbacks are served.
 
-    Raises ConfigurationError for ``use_sim_time``: nobody here publishes /clock.
+    Raises ConfigurationError for ``use_sim_time`` where the node itself does not publish /clock.
     """
-    if node.get_parameter("use_sim_time").value:
-        raise ConfigurationError("configuration.no_clock", "use_sim_time: the link's times are the machine's")
+    if node.get_parameter("use_sim_time").value and not has_clock:
+        words = "use_sim_time: the link's times are the machine's (simulated time: --lockstep)"
+        raise ConfigurationError("configuration.no_clock", words)
     executor = MultiThreadedExecutor(_THREADS)
     executor.add_node(node)
     thread = threading.Thread(target=_spin, args=(executor,), name="ros", daemon=True)

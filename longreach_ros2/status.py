@@ -15,6 +15,7 @@ _CODES = {
     "refused.ros_stamp": OLD_STAMP,
     "refused.ros_path_tolerance": OFF_PATH,
     "refused.ros_goal_tolerance": OFF_GOAL,
+    "motion.not_settled": OFF_GOAL,
 }
 
 
@@ -52,12 +53,20 @@ def diagnosis(link: ReferenceLink, refusals: Refusals) -> Diagnosis:
         "fault": state.fault.name,
         "severity": state.severity.name,
         "settled": str(bool(state.flags & FLAG_SETTLED)).lower(),
+        "motion": str(state.motion_id),
+        "motion_done": str(bool(state.motion_done)).lower(),
         "supply_bar": f"{state.supply_bar:.1f}",
         "state_age_ms": f"{link.state_age_ns / 1e6:.1f}",
         "overruns": str(state.overruns),
         "plant_exchange_failures": str(state.plant_exchange_failures),
     }
     return Diagnosis(level, message, values | said)
+
+
+def news_of(state: State) -> tuple[int, ...]:
+    """What of a state is published at once when it changes: the arm's condition, its motion, its rest."""
+    flags = state.flags & (FLAG_SETTLED | FLAG_PLANT_LINK_OK)
+    return state.group_state, state.fault, state.motion_id, state.motion_done, flags
 
 
 def _judged(state: State) -> tuple[int, str]:

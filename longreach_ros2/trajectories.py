@@ -18,6 +18,7 @@ START_RAD = 0.01  # [D] of where the joints are commanded to be: as far as a fir
 AT_REST_RAD_S = 1e-3  # [D] the last point's speed, below which it is rest
 _STEP_S = 0.02  # between samples at which ranges and speeds are checked: the period of the references
 _ROUNDING = 1e-6
+_NO_LIMIT = -1.0  # of a JointTolerance
 _JOINTS = len(JOINT_NAMES)
 
 
@@ -103,19 +104,34 @@ def joint_order(names: Iterable[str]) -> list[int]:
 def tolerances(said: Iterable[Any], usual: float) -> Array:
     """(6,) rad of ``control_msgs/JointTolerance``: 0 means ``usual``, −1 none (infinite).
 
-    Raises RequestRefused for another joint, and for a tolerance of speed or acceleration: neither is judged.
+    Raises RequestRefused for another joint, for another negative value or one that is not finite, and for a
+    tolerance of speed or acceleration: neither is judged.
     """
     found = dict.fromkeys(JOINT_NAMES, usual)
     for one in said:
         if one.name not in found:
             raise refused("joints", f"tolerance of joint {one.name!r}, this arm has {', '.join(JOINT_NAMES)}")
-        if one.velocity > 0.0 or one.acceleration > 0.0:
-            raise refused("tolerance", f"{one.name}: tolerances of velocity and acceleration are not judged")
-        if not math.isfinite(one.position):
-            raise refused("tolerance", f"{one.name}: tolerance {one.position} rad is no finite number")
-        found[one.name] = one.position or usual
-    values = np.array(list(found.values()))
-    return np.where(values < 0.0, np.inf, values)
+        for what in ("velocity", "acceleration"):
+            if math.isfinite(tolerance(f"{one.name}, {what}", getattr(one, what), math.inf)):
+                raise refused("tolerance", f"{one.name}: tolerances of {what} are not judged")
+        found[one.name] = tolerance(f"{one.name}, position", one.position, usual)
+    return np.array(list(found.values()))
+
+
+def tolerance(what: str, value: float, usual: float) -> float:
+    """A tolerance as control_msgs means it: 0 is ``usual``, −1 none (infinite), else positive and finite.
+
+    Raises RequestRefused that names ``what``. ros2_control takes its defaults for what is wrong, with a log.
+    """
+    if value == 0.0:
+        return usual
+    if value == _NO_LIMIT:
+        return math.inf
+    if value > 0.0 and math.isfinite(value):
+        return value
+    raise refused(
+        "tolerance", f"{what}: tolerance {value:g}, allowed are positive ones, 0 (usual), -1 (none)"
+    )
 
 
 def check_within(what: str, q: Sequence[float], desired: Array, most: Array) -> None:

@@ -6,28 +6,27 @@ tool goes where its marker is before the object's middle, and looks again until 
 """
 
 import functools
-import sys
 import threading
 import time
 
 import cv2
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 
 TOOL, SIDE_M = 0, 0.12  # the tool marker's number; the object's markers' side and centres in O
 OBJECT_M = {1: (-0.2, 0.0), 2: (0.2, 0.0), 3: (0.0, 0.2)}
-CLEARANCE_M = (
-    float(sys.argv[1]) if len(sys.argv) > 1 else 0.1
-)  # between tool marker and object, along the camera
-PICTURES, ENOUGH_M, MOST_STEPS = 8, 0.0015, 6
+CLEARANCE_M = 0.1  # between tool marker and object, along the camera
+PICTURES, ENOUGH_M, MOST_STEPS = 8, 0.002, 12  # a servo that is settled leaves 1 to 2 mm
 SHORT_M = [(-0.08, 0.0, 0.0), (0.0, 0.08, 0.0), (0.0, 0.0, 0.08), (0.0, -0.08, 0.0)]
-STEP_M = 0.4  # at most, before looking again
+STEP_M, SMALL_M = 0.4, 0.01  # at most, before looking again; half of what is less
+MOTION_S, SETTLE_S = 60.0, 20.0  # at most, to its end and to rest there
 
 
 class Positioning(Node):
@@ -35,8 +34,9 @@ class Positioning(Node):
 
     def __init__(self):
         super().__init__("positioning")
-        self.joints, self.tool, self.lens, self.eyes, self.pair = [], None, {}, {}, None
-        self.create_subscription(JointState, "/joint_states", self.keep_joints, 10)
+        self.status, self.tool, self.aim, self.spread = {}, None, None, np.zeros((3, 3))
+        self.lens, self.eyes, self.pair = {}, {}, None
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.keep_status, 10)
         self.create_subscription(PoseStamped, "/longreach/tool_pose", self.keep_tool, 10)
         for eye in ("left", "right"):
             for kind, name, keep in (
@@ -63,18 +63,28 @@ class Positioning(Node):
     def keep_lens(self, eye, message):
         self.lens[eye] = message
 
-    def keep_joints(self, message):
-        self.joints = [*self.joints[-99:], message.position]  # a second
+    def keep_status(self, message):
+        for status in message.status:
+            if status.name == "longreach: arm":
+                self.status = {one.key: one.value for one in status.values} | {"message": status.message}
 
     def keep_tool(self, message):
         self.tool = message
 
-    def wait(self, happened, seconds=120.0):
+    def wait(self, what, happened, seconds=MOTION_S):
+        if not self.happens(happened, seconds):
+            raise TimeoutError(f"{what}: not within {seconds:g} s; the arm says {self.status}")
+
+    def happens(self, happened, seconds):
+        """Whether it does within so many seconds. Raises what the arm says when a fault has stopped it."""
         end = time.monotonic() + seconds
         while not happened():
+            if self.status.get("fault", "NONE") != "NONE":
+                raise RuntimeError(self.status["message"])
             if time.monotonic() > end:
-                raise TimeoutError(f"{happened.__name__}: not within {seconds:g} s")
+                return False
             time.sleep(0.01)
+        return True
 
     def enable(self):
         self.enabling.wait_for_service()
@@ -82,23 +92,29 @@ class Positioning(Node):
         if not answer.success:
             raise RuntimeError(answer.message)
 
-    def at_rest(self):
-        return len(self.joints) == 100 and np.ptp(self.joints, axis=0).max() < 1e-3
-
     def here(self):
         p = self.tool.pose.position
         return np.array([p.x, p.y, p.z])
 
-    def go(self, p):
-        """To a place in the base, turned as the tool is now."""
-        message = PoseStamped()
-        message.header.frame_id = "base"
-        message.pose.orientation = self.tool.pose.orientation
-        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, p)
-        self.target.publish(message)
-        time.sleep(1.0)
-        self.joints = []
-        self.wait(self.at_rest)
+    def go(self, way):
+        """So far from the last target, in the base, turned as at first: steps add up, a servo's rest too."""
+        if self.aim is None:
+            self.aim = PoseStamped(pose=self.tool.pose)
+            self.aim.header.frame_id = "base"
+        p = self.aim.pose.position
+        p.x, p.y, p.z = (float(at + by) for at, by in zip((p.x, p.y, p.z), way, strict=True))
+        before = self.status
+        self.target.publish(self.aim)
+        self.wait("the target is accepted", lambda: self.answered(before))
+        self.wait("the motion is done", lambda: self.status.get("motion_done") == "true")
+        if not self.happens(lambda: self.status.get("settled") == "true", SETTLE_S):
+            print(f"not settled within {SETTLE_S:g} s after the motion: it looks all the same", flush=True)
+
+    def answered(self, before):
+        """Whether the arm's motion is another than ``before``. Raises what it says when it refuses."""
+        if self.status["refusals"] != before["refusals"]:
+            raise RuntimeError(self.status["refused"])
+        return self.status.get("motion", before["motion"]) != before["motion"]
 
     def look(self):
         """Tool marker and object's middle in the left camera, m: means of several pairs of pictures."""
@@ -124,7 +140,11 @@ class Positioning(Node):
         # x right, y up in O, as the markers hang; ArUco's corners go round from the upper left one.
         square = 0.5 * SIDE_M * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
         model = np.vstack([np.column_stack((square + OBJECT_M[n], np.zeros(4))) for n in known])
-        _, p = rigid(model, np.vstack([places[n] for n in known]))
+        points = np.vstack([places[n] for n in known])
+        # The tool keeps its turn, and so the camera: all pictures tell how the object is turned, not the few
+        # markers of one alone, whose error reaches the middle by a lever.
+        self.spread += (points - points.mean(axis=0)).T @ (model - model.mean(axis=0))
+        p = points.mean(axis=0) - turn(self.spread) @ model.mean(axis=0)
         return [(places[TOOL].mean(axis=0), p)]
 
     def markers(self, picture):
@@ -137,8 +157,12 @@ class Positioning(Node):
         )
 
     def triangulated(self, left, right):
-        P = [np.array(self.lens[eye].p).reshape(3, 4) for eye in ("left", "right")]
-        points = cv2.triangulatePoints(P[0], P[1], left.T.astype(float), right.T.astype(float))
+        P, straight = [], []
+        for eye, corners in (("left", left), ("right", right)):
+            K, R, P_eye = (np.array(getattr(self.lens[eye], name)).reshape(3, -1) for name in "krp")
+            P.append(P_eye)
+            straight.append(cv2.undistortPoints(corners, K, np.array(self.lens[eye].d), R=R, P=P_eye)[:, 0].T)
+        points = cv2.triangulatePoints(*P, *straight)
         return (points[:3] / points[3]).T
 
     def error(self):
@@ -148,30 +172,26 @@ class Positioning(Node):
 
     def directions(self):
         """R_BC: turns what the camera sees into the base, from ways that both measure."""
-        start = self.here()
-        _, before = self.error()
+        start, before, at = self.here(), self.error()[1], np.zeros(3)
         ways, sights = [], []
         for way in SHORT_M:
-            self.go(start + way)
-            _, middle = self.error()
+            self.go(way - at)
+            at = np.array(way)
             ways.append(self.here() - start)
-            sights.append(before - middle)  # the camera is carried: what it sees goes the other way
-        return rigid(np.array(sights), np.array(ways), turning_alone=True)[0]
+            sights.append(before - self.error()[1])  # the camera is carried: what it sees goes the other way
+        return turn(np.array(ways).T @ np.array(sights))
 
 
-def rigid(model, points, turning_alone=False):
-    """R, p with points ≈ R model + p (Kabsch 1976)."""
-    a, b = (np.zeros(3), np.zeros(3)) if turning_alone else (model.mean(axis=0), points.mean(axis=0))
-    U, _, Vt = np.linalg.svd((points - b).T @ (model - a))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return R, b - R @ a
+def turn(spread):
+    """R that turns a's into b's best, of their sum b aᵀ (Kabsch 1976)."""
+    U, _, Vt = np.linalg.svd(spread)
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
 
 
 def position(node):
-    """Bring the tool to the object; each step's error in mm."""
-    node.wait(lambda: node.tool is not None and len(node.lens) == 2)
+    """Bring the tool to the object. Raises RuntimeError when the camera does not see it there at the end."""
+    node.wait("tool, lenses, status", lambda: node.tool and "motion" in node.status and len(node.lens) == 2)
     node.enable()
-    node.wait(node.at_rest)
     R_BC = node.directions()
     for step in range(MOST_STEPS):
         error, _ = node.error()
@@ -179,7 +199,9 @@ def position(node):
         print(f"step {step}: {1e3 * length:.2f} mm to go, as the camera sees it", flush=True)
         if length < ENOUGH_M:
             return
-        node.go(node.here() + R_BC @ error * min(1.0, STEP_M / length))
+        # Friction leaves the arm short of where it comes from: whole small steps swing from side to side.
+        node.go(R_BC @ error * (0.5 if length < SMALL_M else min(1.0, STEP_M / length)))
+    raise RuntimeError(f"not within {1e3 * ENOUGH_M:g} mm after {MOST_STEPS} steps")
 
 
 def main():

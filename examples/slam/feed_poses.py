@@ -9,18 +9,32 @@ import socket
 import sys
 import tempfile
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
 from foundation.configuration import load, parse_overrides
 from laboratory.experiments.odometry.orb_slam3 import OrbSlam3, vocabulary
+from protocol.errors import LinkLost
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
-from vision_pc.shell.cameras import open_camera
+from vision_pc.core.types import StereoPair
+from vision_pc.shell.cameras import CameraSource, open_camera
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 PICTURES = 12  # that its vocabulary is grown from
+
+
+async def pairs_of(camera: CameraSource) -> AsyncIterator[StereoPair]:
+    """The camera's pairs, on and on: a stream that stops on a busy machine comes again."""
+    while True:
+        try:
+            async for pair in camera.pairs():
+                yield pair
+        except LinkLost as error:
+            print(f"{error.cause}: {error}", file=sys.stderr, flush=True)
+            await asyncio.sleep(1.0)
 
 
 async def main(overrides: list[str]) -> None:
@@ -33,13 +47,13 @@ async def main(overrides: list[str]) -> None:
         await asyncio.sleep(0.1)
     with tempfile.TemporaryDirectory() as directory:
         words, pictures = Path(directory) / "words.txt", []
-        async for pair in camera.pairs():
+        async for pair in pairs_of(camera):
             pictures += [pair.left, pair.right]
             if len(pictures) >= 2 * PICTURES:
                 break
         vocabulary(pictures, words)
         slam, sent = OrbSlam3(calibration(config.camera), words), 0
-        async for pair in camera.pairs():
+        async for pair in pairs_of(camera):
             since_1970_ns = time.time_ns() - time.monotonic_ns()
             unix_s = 1e-9 * (pair.capture_ns + since_1970_ns)
             pose = slam.track(pair, unix_s)

@@ -10,7 +10,7 @@ import pytest
 from longreach_ros2.drive import ArmDrive, JointGoal, TopicStreams
 from longreach_ros2.kinematics import TOOL, Array
 from longreach_ros2.references import RosTime
-from longreach_ros2.status import ERROR, OK, STALE, WARN, diagnosis
+from longreach_ros2.status import ERROR, OFF_GOAL, OK, STALE, WARN, code_of, diagnosis, news_of
 from protocol.errors import LongreachError
 from protocol.faults import CommandCode, FaultCode, GroupState
 from testbed.lockstep.clock import RunLog, run
@@ -123,6 +123,14 @@ def test_joints_of_several_degrees_of_freedom_and_old_stamps_are_refused_before_
 ) -> None:
     many = SimpleNamespace(joint_names=["floating"])
     assert caught(lambda: driven.goal(multi_dof_trajectory=many)).cause == "refused.ros_joints"
+    parts = [SimpleNamespace(joint_name="slew", component=4, position=0.1)]
+    assert caught(lambda: driven.goal(component_goal_tolerance=parts)).cause == "refused.ros_joints"
+    error = caught(lambda: driven.goal(goal_time_tolerance=time_of(-2.0)))
+    assert (error.cause, "goal_time_tolerance, s: tolerance -2" in str(error)) == (
+        "refused.ros_tolerance",
+        True,
+    )
+    assert driven.goal(goal_time_tolerance=time_of(-1.0)).extra_s == driven.goal().extra_s == np.inf
     late = trajectory(point(4.0, driven.home + WAY), stamp_s=12.0)
     assert caught(lambda: driven.drive.goal_of(late)).cause == "refused.ros_stamp"
     driven.pass_s(0.5)
@@ -219,6 +227,15 @@ def test_the_status_says_what_the_arm_is_at_and_what_was_refused_last(driven: Dr
     assert diagnosis(driven.link, refusals)[:2] == (OK, "standby")
     refusals.note("~/target", caught(lambda: run(driven.drive.go_to(pose(np.eye(4), "map")))))
     values = diagnosis(driven.link, refusals).values
+    assert (values["motion"], values["motion_done"]) == ("0", "false")
+    before = news_of(driven.link.state)
+    driven.pass_s(0.1)
+    assert news_of(driven.link.state) == before, "a state that says nothing new is not published at once"
+    run(driven.drive.go_to(pose(from_pose(driven.link.state.X_BT_cmd))))
+    driven.pass_s(1.0)
+    gone = diagnosis(driven.link, refusals).values
+    assert (gone["motion"], gone["motion_done"]) == (str(driven.link.state.motion_id), "true")
+    assert news_of(driven.link.state) != before
     assert (values["refused_cause"], values["refusals"]) == ("refused.ros_frame", "1")
     assert "map" in values["refused"]
     run(driven.drive.command(CommandCode.DISABLE))
@@ -229,3 +246,4 @@ def test_the_status_says_what_the_arm_is_at_and_what_was_refused_last(driven: Dr
     assert diagnosis(driven.link, refusals)[:2] == (ERROR, "stopped by emergency stop: reset, then enable")
     driven.link.disconnect()
     assert diagnosis(driven.link, refusals).level == STALE
+    assert code_of("motion.not_settled") == code_of("refused.ros_goal_tolerance") == OFF_GOAL

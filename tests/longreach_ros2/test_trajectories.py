@@ -127,16 +127,29 @@ def test_a_path_that_swings_out_of_range_between_its_points_is_refused() -> None
     assert "limit 90.00 deg" in str(error)
 
 
-def tolerance(name: str, position: float, velocity: float = 0.0) -> Any:
-    return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=0.0)
+def tolerance(name: str, position: float, velocity: float = 0.0, acceleration: float = 0.0) -> Any:
+    return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
 
 
 def test_tolerances_mean_what_ros_says() -> None:
-    found = tolerances([tolerance("tilt", 0.02), tolerance("slew", -1.0), tolerance("lift", 0.0)], 0.005)
-    assert found.tolist() == [math.inf, 0.005, 0.02, 0.005, 0.005, 0.005]
-    for wrong in (tolerance("elbow", 0.1), tolerance("slew", 0.1, 0.1), tolerance("slew", math.nan)):
-        with pytest.raises(RequestRefused):
-            tolerances([wrong], 0.005)
+    said = [tolerance("tilt", 0.02), tolerance("slew", -1.0, -1.0, -1.0), tolerance("lift", 0.0)]
+    assert tolerances(said, 0.005).tolist() == [math.inf, 0.005, 0.02, 0.005, 0.005, 0.005]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (tolerance("elbow", 0.1), "joint 'elbow', this arm has slew"),
+        (tolerance("slew", -0.5), "slew, position: tolerance -0.5, allowed are positive ones"),
+        (tolerance("slew", math.nan), "slew, position: tolerance nan"),
+        (tolerance("slew", 0.1, 0.1), "slew: tolerances of velocity are not judged"),
+        (tolerance("slew", 0.1, 0.0, 0.1), "slew: tolerances of acceleration are not judged"),
+        (tolerance("slew", 0.1, -2.0), "slew, velocity: tolerance -2"),
+    ],
+)
+def test_a_tolerance_that_ros_does_not_allow_or_nobody_judges_is_refused(wrong: Any, words: str) -> None:
+    with pytest.raises(RequestRefused, match=words):
+        tolerances([wrong], 0.005)
 
 
 def test_the_joint_that_is_off_most_by_its_own_tolerance_is_named() -> None:

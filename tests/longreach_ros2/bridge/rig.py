@@ -60,9 +60,9 @@ class Talk:
 
 
 @contextmanager
-def stranger(domain: int) -> Iterator[Talk]:
+def stranger(domain: int, *options: str) -> Iterator[Talk]:
     """A stranger in the domain, until the block ends or somebody kills it."""
-    command = [str(PYTHON), str(Path(__file__).with_name("stranger.py"))]
+    command = [str(PYTHON), str(Path(__file__).with_name("stranger.py")), *options]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=environment(domain), **pipes) as process:
         try:
@@ -105,8 +105,16 @@ def watched(directory: Path, domain: int) -> Iterator[tuple[Talk, Running]]:
 
 
 @contextmanager
+def in_lockstep(directory: Path, domain: int) -> Iterator[Talk]:
+    """A stranger that follows the /clock of a bridge in lockstep, as fast as it is computed."""
+    options = ["--lockstep", "--pace", "0"]
+    with beside(directory, domain, options, "--ros-args", "-p", "use_sim_time:=true") as (talk, _):
+        yield talk
+
+
+@contextmanager
 def beside(
-    directory: Path, domain: int, options: list[str]
+    directory: Path, domain: int, options: list[str], *for_stranger: str
 ) -> Iterator[tuple[Talk, "subprocess.Popen[str]"]]:
     """A stranger, and a bridge with these options that publishes joint states."""
     log = directory / "bridge.log"
@@ -120,7 +128,7 @@ def beside(
         try:
             assert bridge.stdout is not None
             assert '"ready"' in bridge.stdout.readline(), log.read_text()
-            with stranger(domain) as talk:
+            with stranger(domain, *for_stranger) as talk:
                 assert talk.wait(within_s=_START_S), log.read_text()
                 yield talk, bridge
         finally:

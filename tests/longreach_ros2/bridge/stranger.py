@@ -20,12 +20,13 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, JointState
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 NAMES = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
 PATIENCE_S = 30.0
+TICK_S = 0.1
 HEARD = {kind.__name__: kind for kind in (Image, CameraInfo, PoseStamped, TFMessage)}
 
 
@@ -51,11 +52,28 @@ class Stranger(Node):
                 ("/arm_controller/joint_trajectory", JointTrajectory),
             )
         }
-        self.goal = None
+        self.goal, self.ticks = None, 0
+        self.create_timer(TICK_S, self.tick)
+
+    def now_ns(self):
+        """ROS time: the machine's, or that of /clock with use_sim_time."""
+        return self.get_clock().now().nanoseconds
+
+    def tick(self):
+        self.ticks += 1
+
+    def passed(self):
+        """ROS time (s) and how often a timer of ``TICK_S`` has come."""
+        return [1e-9 * self.now_ns(), self.ticks]
+
+    def pause(self, paused):
+        client = self.create_client(SetBool, "/longreach/pause")
+        assert client.wait_for_service(PATIENCE_S)
+        return finished(client.call_async(SetBool.Request(data=paused))).success
 
     def heard_joints(self, message):
         stamp = message.header.stamp
-        self.ages_ms.append(1e-6 * (time.time_ns() - stamp.sec * 10**9 - stamp.nanosec))
+        self.ages_ms.append(1e-6 * (self.now_ns() - stamp.sec * 10**9 - stamp.nanosec))
         self.newest["/joint_states"] = message
 
     def heard_tree(self, message):
@@ -187,7 +205,7 @@ class Stranger(Node):
         else:
             message.name, message.position, message.velocity = list(NAMES), numbers["q"], numbers["v"]
         message.header.frame_id = frame
-        now_ns = round(1e9 * numbers["stamp_s"]) if "stamp_s" in numbers else time.time_ns()
+        now_ns = round(1e9 * numbers["stamp_s"]) if "stamp_s" in numbers else self.now_ns()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, 10**9)
         return message
 
