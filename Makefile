@@ -50,7 +50,7 @@ LABORATORY := $(addprefix tests/, \
 		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) \
 		$(addprefix perception/test_, chance_markers.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
-		$(addprefix shell/test_, api_schema.py target_routes.py)))
+		$(addprefix shell/test_, api_schema.py genicam.py target_routes.py)))
 
 .PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
