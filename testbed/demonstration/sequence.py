@@ -26,7 +26,7 @@ from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 from vision_pc.core.positioning.expected_end import ExpectedEnd
-from vision_pc.core.positioning.look_then_move import Ended, PositioningResult
+from vision_pc.core.positioning.look_then_move import ELSEWHERE, Ended, PositioningResult
 from vision_pc.core.se3 import angle_between
 
 JSON = dict[str, Any]
@@ -191,13 +191,12 @@ def note_of(result: Any) -> str:
             return "already at the aim: no step was made"
         step, verdict = result.steps[0], result.final
         where = "inside" if verdict.inside else "outside"
-        doubt = "; CONTRADICTED: odometry had it elsewhere, does the object move?"
+        doubt = f"; CONTRADICTED{ELSEWHERE}" if result.ended is Ended.CONTRADICTED else ""
         return (
             f"step {_mm(step.p_lc)} mm in the base, expected to end within "
             f"{_mm(step.expected.std_m)} mm (1 σ, camera axes), inside with probability"
             f" {step.expected.inside:.2f}; found {where} the "
-            f"tolerance, {'and so are' if verdict.certain else 'but not all of'} the 95 % intervals"
-            f"{doubt if result.ended is Ended.CONTRADICTED else ''}"
+            f"tolerance, {'and so are' if verdict.certain else 'but not all of'} the 95 % intervals{doubt}"
         )
     if isinstance(result, OrientationResult):
         before, after = (_xyz(np.degrees(errors)) for errors in (result.errors[0], result.errors[-1]))

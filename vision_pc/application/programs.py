@@ -104,7 +104,7 @@ async def _trajectory(
 ) -> LocalCalibration:
     """The calibration is kept for look-then-move."""
     application.calibration = await trajectory_matching.trajectory_matching(
-        application.arm, application.eyes, report, settings
+        application.arm, application.eyes, report, settings, application.settings.local_map
     )
     return application.calibration
 
