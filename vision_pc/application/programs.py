@@ -76,12 +76,16 @@ from vision_pc.core.se3 import Array, from_pose, transform
 
 
 async def _look(application: VisionApplication, body: LookBody, report: Report) -> JudgedLook:
-    if not application.controller.connected:
+    if application.controller.connected:
+        report(0.1, "looking")
+        await application.eyes.look(body.frames)
+    else:
         report(0.1, "looking; no controller is connected")
-        return await application.look_alone(body.frames)
-    report(0.1, "looking")
-    await application.eyes.look(body.frames)
-    return application.latest_look
+        await application.look_alone(body.frames)
+    judged = application.latest_look
+    if judged.look.misplaced is not None:
+        report(1.0, str(judged.look.misplaced))
+    return judged
 
 
 async def _orientation(

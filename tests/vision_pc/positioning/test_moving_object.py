@@ -1,4 +1,4 @@
-"""An object that moves: seen over the legs or the path, and where the last look contradicts what was expected."""
+"""An object that moves: seen over the legs or the path, or by a last look elsewhere than expected."""
 
 import numpy as np
 import pytest

@@ -52,8 +52,8 @@ def object_motion(samples: Sequence[WatchSample], way_std_m: float) -> ObjectMot
 def refuse_moving_object(
     samples: Sequence[WatchSample], path_m: float, odometry: LocalErrorModelSettings
 ) -> None:
-    """Raises MeasurementFailed (``target.moves``) with the speed where the object moves, while the camera goes
-    along ``path_m`` of path and back to where it was.
+    """Raises MeasurementFailed (``target.moves``) with the speed where the object moves while the camera
+    goes along a path of ``path_m`` and back to where it was.
     """
     motion = object_motion(samples, 2.0 * odometry.odometry_std_m + odometry.odometry_scale_std * path_m)
     if motion is not None and motion.is_seen:

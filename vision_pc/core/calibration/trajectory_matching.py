@@ -60,8 +60,8 @@ async def trajectory_matching(
 ) -> LocalCalibration:
     """The local calibration from one planar path; the arm rests at the path's end.
 
-    ``odometry``: how well odometry measures. Raises MeasurementFailed for a straight or symmetric path (before
-    the arm moves), lost odometry, too few samples, a match that is ill-conditioned, and an object that moves
+    ``odometry``: how well odometry measures. Raises MeasurementFailed for a straight or symmetric path (then
+    nothing moves), lost odometry, too few samples, a match that is ill-conditioned, and an object that moves
     while the camera goes to the path's beginning and back; errors of arm and eyes pass through.
     """
     X_BT_now = (await arm.view()).X_BT
