@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller.core.kinematics.rotations import Array
 from controller.core.scan_types import ScanEvent, ScanState
@@ -20,20 +21,16 @@ from protocol.axes_group import Mode
 
 WORN = "worn"
 _PERIOD_S = 0.05  # [D] between samples
-_LATE, _SPAN = (
-    2,
-    4,
-)  # [M] samples: a speed follows its spool by 0.1 s (mobile valves); both are means over 0.2 s
+_LATE = 2  # [M] samples: a speed follows its spool by 0.1 s (mobile valves)
+_SPAN = 4  # [D] samples: both are means over 0.2 s
 _SLOWEST_RAD_S = 2e-3  # [D] 8 encoder digits in that time
 _OPEN = 0.5  # [D] of the deadband: what moves behind a spool nearer to its centre is swung
 _LEAST = 8  # [D] windows of 0.2 s
 _SIGMAS = 2.0  # [D]
-# [M] of the deadband. Edges of three healthy machines showed -0.3 to 0.3 of it, mostly under 0.1; those worn
-# by a tenth 0.1 to 0.25, by three tenths 0.3 to 0.6
-_LIMIT = 0.25
+_LIMIT = 0.25  # [M] of the deadband: healthy edges -0.3 to 0.3, mostly below 0.1; worn ones 0.3 to 0.6
 
 
-class Seen(NamedTuple):
+class SpoolSample(NamedTuple):
     """One sample of six joints: angles (rad) and spools behind their hysteresis."""
 
     q: Array
@@ -41,29 +38,23 @@ class Seen(NamedTuple):
 
 
 class WearWatch(NamedTuple):
-    """What was seen since the start. ``since_s``: the last sample; ``spool`` (6,): behind the hysteresis that
+    """What was seen since the start. ``since_s``: last sample; ``spool`` (6,): behind the hysteresis that
     commissioning found; ``moving``: samples of the motion under way that no window has counted.
 
-    Per joint, raising and lowering (6, 2): ``windows``; sums of the spool in ``excess`` of the valve's, as
-    a share of its deadband, of its ``squares``, of the spool ``taken`` and of what the valve ``said``;
-    ``named``: those that were reported.
+    ``sums`` (5, 6, 2), by joint, raising and lowering: windows; the spool beyond the valve's as a share of
+    its deadband, and its square; the spool taken, and the valve's. ``named`` (6,): joints that were reported.
     """
 
     since_s: float
     spool: Array
-    moving: tuple[Seen, ...]
-    windows: Array
-    excess: Array
-    squares: Array
-    taken: Array
-    said: Array
-    named: Array
+    moving: tuple[SpoolSample, ...]
+    sums: Array
+    named: NDArray[np.bool_]
 
 
 def watch_begun() -> WearWatch:
     """The watch before the first scan."""
-    sums = [np.zeros((6, 2)) for _ in range(5)]
-    return WearWatch(0.0, np.zeros(6), (), *sums, np.zeros((6, 2), dtype=bool))
+    return WearWatch(0.0, np.zeros(6), (), np.zeros((5, 6, 2)), np.zeros(6, dtype=bool))
 
 
 def watch_wear(
@@ -82,7 +73,7 @@ def watch_wear(
     watch = watch._replace(since_s=0.0, spool=spool)
     if state.mode not in (Mode.MOVING, Mode.STREAMING):
         return watch._replace(moving=()), ()
-    moving = (*watch.moving, Seen(state.watch.q_meas, spool))
+    moving = (*watch.moving, SpoolSample(state.watch.q_meas, spool))
     if len(moving) <= _LATE + _SPAN:
         return watch._replace(moving=moving), ()
     watch = _counted(settings, watch._replace(moving=moving[_SPAN:]), moving, since_s)
@@ -90,41 +81,37 @@ def watch_wear(
 
 
 def _counted(
-    settings: ScanSettings, watch: WearWatch, moving: tuple[Seen, ...], period_s: float
+    settings: ScanSettings, watch: WearWatch, moving: tuple[SpoolSample, ...], period_s: float
 ) -> WearWatch:
     """``watch`` with the window that ``moving`` is."""
-    joints, drives = settings.servo.joints, settings.servo
+    servo, sums = settings.servo, watch.sums.copy()
     rate = (moving[-1].q - moving[_LATE].q) / (_SPAN * period_s)
-    spool = np.mean([seen.spool for seen in moving[: _SPAN + 1]], axis=0)
-    speeds = full_spool_speeds(drives.drives, moving[-1].q, drives.rated, drives.rated, np.zeros(6))
-    sums = [s.copy() for s in (watch.windows, watch.excess, watch.squares, watch.taken, watch.said)]
+    spool = np.mean([sample.spool for sample in moving[: _SPAN + 1]], axis=0)
+    speeds = full_spool_speeds(servo.drives, moving[-1].q, servo.rated, servo.rated, np.zeros(6))
     for i in np.flatnonzero((rate * spool > 0.0) & (np.abs(rate) > _SLOWEST_RAD_S)):
         side = 0 if spool[i] > 0.0 else 1
-        edge, taken = joints.deadband[i, side], abs(spool[i])
+        edge, taken = servo.joints.deadband[i, side], abs(spool[i])
         if edge <= 0.0 or taken < _OPEN * edge:
             continue
-        flow = abs(rate[i]) / (joints.flow_gain[i, side] * speeds[i, side])
-        said = edge + opening_for(joints.curve[i, side], flow)
-        share = (taken - said) / edge
-        for total, value in zip(sums, (1.0, share, share**2, taken, said), strict=True):
-            total[i, side] += value
-    return watch._replace(**dict(zip(("windows", "excess", "squares", "taken", "said"), sums, strict=True)))
+        flow = abs(rate[i]) / (servo.joints.flow_gain[i, side] * speeds[i, side])
+        said = edge + opening_for(servo.joints.curve[i, side], flow)
+        beyond = (taken - said) / edge
+        sums[:, i, side] += (1.0, beyond, beyond**2, taken, said)
+    return watch._replace(sums=sums)
 
 
 def _reported(settings: ScanSettings, watch: WearWatch) -> tuple[WearWatch, tuple[ScanEvent, ...]]:
+    """``watch`` and an event for each joint that is named from now on."""
     events, named = [], watch.named.copy()
-    for i, side in np.argwhere((watch.windows >= _LEAST) & ~watch.named.any(axis=1, keepdims=True)):
-        count = float(watch.windows[i, side])
-        mean = float(watch.excess[i, side]) / count
-        variance = max(float(watch.squares[i, side]) / count - mean**2, 0.0) / (count - 1.0)
-        if mean - _SIGMAS * math.sqrt(variance) <= _LIMIT:
+    for i, side in np.argwhere(watch.sums[0] >= _LEAST):
+        count, beyond, squares, taken, said = watch.sums[:, i, side].tolist()
+        mean = beyond / count
+        variance = max(squares / count - mean**2, 0.0) / (count - 1.0)
+        if named[i] or mean - _SIGMAS * math.sqrt(variance) <= _LIMIT:
             continue
-        named[i, side] = True
-        said = float(watch.said[i, side])
-        limit = 1.0 + _LIMIT * settings.servo.joints.deadband[i, side] * count / said
-        events.append(
-            ScanEvent(WORN, JOINT_NAMES[i].upper(), float(watch.taken[i, side]) / said, float(limit))
-        )
+        named[i] = True
+        limit = 1.0 + _LIMIT * float(settings.servo.joints.deadband[i, side]) * count / said
+        events.append(ScanEvent(WORN, JOINT_NAMES[i].upper(), taken / said, limit))
     return watch._replace(named=named), tuple(events)
 
 

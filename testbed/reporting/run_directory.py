@@ -96,7 +96,7 @@ def warnings_in(events: Sequence[Mapping[str, Any]]) -> list[str]:
     for event in events:
         if event.get("misplaced_marker"):
             found.append(event["misplaced_marker"]["detail"])
-        said = event.get("what", event | {"name": event.get("event")})  # lockstep has the scan's event whole
+        said = event.get("what", {**event, "name": event.get("event")})  # lockstep has the scan's event whole
         if isinstance(said, Mapping) and said.get("name") == WORN:
             found.append(in_words(said["cause"], said["value"]))
     return list(dict.fromkeys(found))

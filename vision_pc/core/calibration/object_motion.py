@@ -14,7 +14,7 @@ _PICTURES = 8  # [D] at either end of the way, the arm at rest there
 _SIGMAS = 4.0  # [D]
 _LEAST_M = 1e-3  # [D] over a way of some 20 s: 0.05 mm/s, which ends inside the tolerance
 _TO_SIGMA = 1.4826  # a normal's standard deviation over its median absolute deviation
-_OF_MEDIAN = 1.2533  # the standard deviation of a normal's median over that of its mean
+_OF_MEDIAN = 1.2533  # [S] the standard deviation of a normal's median over that of its mean
 
 
 class ObjectMotion(NamedTuple):

@@ -15,7 +15,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation, MarkerObservation, MisplacedMarker
 
 _SIGMAS = 4.0  # [D] of what hanging, printing and lens explain
-_LEAST = 3  # markers: with two, nothing says which of them is wrong
+_LEAST = 3  # [D] markers: with two, nothing says which of them is wrong
 _FLAT = 0.1  # [D] of their extent along that line
 _PIXELS = 0.2  # [E] of a marker's middle: edges, lens
 
