@@ -2,7 +2,7 @@
 
 While a joint moves, its commissioned valve says which spool its speed takes. A valve that opens later, with a
 wider hysteresis or less flow, takes more: the position loop gives it, at the price of an error that it needs
-for that. Nothing here moves the arm.
+for that. A load that comes down on its load-holding valve is left out. Nothing here moves the arm.
 """
 
 import math
@@ -91,7 +91,8 @@ def _counted(
     for i in np.flatnonzero((rate * spool > 0.0) & (np.abs(rate) > _SLOWEST_RAD_S)):
         side = 0 if spool[i] > 0.0 else 1
         edge, taken = servo.joints.deadband[i, side], abs(spool[i])
-        if edge <= 0.0 or taken < _OPEN * edge:
+        held = side == 1 and servo.joints.holding.damping[i] > 0.0  # its load-holding valve meters the oil
+        if held or edge <= 0.0 or taken < _OPEN * edge:
             continue
         flow = abs(rate[i]) / (servo.joints.flow_gain[i, side] * speeds[i, side])
         said = edge + opening_for(servo.joints.curve[i, side], flow)
