@@ -79,10 +79,10 @@ async def _look(application: VisionApplication, body: LookBody, report: Report) 
     if application.controller.connected:
         report(0.1, "looking")
         await application.eyes.look(body.frames)
+        judged = application.latest_look
     else:
         report(0.1, "looking; no controller is connected")
-        await application.look_alone(body.frames)
-    judged = application.latest_look
+        judged = await application.look_alone(body.frames)
     if judged.look.misplaced is not None:
         report(1.0, str(judged.look.misplaced))
     return judged
