@@ -8,6 +8,7 @@ from controller.core.excitation.program import ExcitationProgram, ExcitationSamp
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, ScanState, initial_state
 from controller.core.settings import settings_from
+from controller.core.valve_wear import watch_begun, watch_wear
 from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
@@ -30,6 +31,10 @@ class ScanProgram:
         self.samples: list[ExcitationSample] = []
         self._state = initial_state(self.settings)
         self.excitation = ExcitationProgram(self._state)
+        known = config.commissioned is not None and config.commissioned.valves.pressure_compensated
+        self._wear = (
+            watch_begun() if known else None
+        )  # flow that goes with the load says nothing of its valve
 
     @property
     def capabilities(self) -> int:
@@ -46,7 +51,10 @@ class ScanProgram:
         """What one scan of ``inputs`` puts out."""
         if self.plan is None:
             self._state, output = scan(self.settings, self._state, inputs)
-            return output
+            if self._wear is None:
+                return output
+            self._wear, worn = watch_wear(self.settings, self._wear, self._state, inputs.dt_s)
+            return output._replace(events=output.events + worn) if worn else output
         self.excitation, output, sample = excitation_scan(self.settings, self.plan, self.excitation, inputs)
         if sample is not None:
             self.samples.append(sample)

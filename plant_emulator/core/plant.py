@@ -113,7 +113,8 @@ class Plant:
         self._commands = ValveCommands(_valve_drive(config.valves), round(config.watchdog_ms * 1e6))
         self._advance = settled(advance_commanded, *self._advanced(0))
         self.faults = FaultSchedule()
-        self._healthy_omega = self._model.actuators[:, col.A_OMEGA].copy()
+        self._healthy = self._model.actuators.copy()
+        self._half_hysteresis = self._commands.targets.half_hysteresis.copy()
         self._cycle = 0
 
     def write(self, image: ValveImage) -> None:
@@ -323,7 +324,8 @@ class Plant:
         active, now_ns = self.faults.active, self.time_ns
         self._load_kg = load_kg(active, now_ns, self._payload_kg)
         self._commands.swap(swapped_valves(self.faults.in_force()))
-        break_hydraulics(active, now_ns, self._model, self._healthy_omega, self._state)
+        wider = break_hydraulics(active, now_ns, self._model, self._healthy, self._state)
+        self._commands.targets.half_hysteresis[:] = wider * self._half_hysteresis
         self._encoders.hold(stuck_encoders(self.faults.in_force()), self._shafts.angle)
         put_payload(self._model, self._bare_tool, self._load_kg, self.config, self._chain)
 

@@ -26,22 +26,12 @@ from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 from vision_pc.core.positioning.expected_end import ExpectedEnd
-from vision_pc.core.positioning.look_then_move import Ended, PositioningResult
+from vision_pc.core.positioning.look_then_move import ELSEWHERE, Ended, PositioningResult
 from vision_pc.core.se3 import angle_between
+from vision_pc.core.types import Look
 
 JSON = dict[str, Any]
 AROUND_NS = 250_000_000  # truth is averaged over a quarter of a second on either side of a look's time
-
-
-class SeenPoses(Protocol):
-    """Tool marker and object in the camera at ``time_ns`` of vision's clock, as a ``Look`` has them."""
-
-    @property
-    def time_ns(self) -> int: ...
-    @property
-    def X_CM(self) -> Array: ...
-    @property
-    def X_CO(self) -> Array: ...
 
 
 class Rig(Protocol):
@@ -58,7 +48,7 @@ class Rig(Protocol):
         """The typed result of a program, once it has succeeded."""
         ...
 
-    def latest_look(self) -> SeenPoses:
+    def latest_look(self) -> Look:
         """The latest look of any program."""
         ...
 
@@ -87,7 +77,7 @@ class Rest(NamedTuple):
     label: str
     look_number: int
     time_ns: int
-    look: SeenPoses | None
+    look: Look | None
     note: str
     picture: Picture
     told: ExpectedEnd | None = None
@@ -122,7 +112,7 @@ class Recorder:
             told = note_of(result), picture, told_of(result)
             self.rests.append(Rest(label, look_number, time_ns, look, *told, clicked))
 
-    def _look(self, bar: Bar) -> SeenPoses | None:
+    def _look(self, bar: Bar) -> Look | None:
         try:
             self._rig.operate("look", {}, bar)
         except MeasurementFailed:
@@ -191,13 +181,12 @@ def note_of(result: Any) -> str:
             return "already at the aim: no step was made"
         step, verdict = result.steps[0], result.final
         where = "inside" if verdict.inside else "outside"
-        doubt = "; CONTRADICTED: odometry had it elsewhere, does the object move?"
+        doubt = f"; CONTRADICTED{ELSEWHERE}" if result.ended is Ended.CONTRADICTED else ""
         return (
             f"step {_mm(step.p_lc)} mm in the base, expected to end within "
             f"{_mm(step.expected.std_m)} mm (1 σ, camera axes), inside with probability"
             f" {step.expected.inside:.2f}; found {where} the "
-            f"tolerance, {'and so are' if verdict.certain else 'but not all of'} the 95 % intervals"
-            f"{doubt if result.ended is Ended.CONTRADICTED else ''}"
+            f"tolerance, {'and so are' if verdict.certain else 'but not all of'} the 95 % intervals{doubt}"
         )
     if isinstance(result, OrientationResult):
         before, after = (_xyz(np.degrees(errors)) for errors in (result.errors[0], result.errors[-1]))
@@ -230,7 +219,7 @@ def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: flo
     )
 
 
-def _measured_errors(look: SeenPoses, clearance_m: float) -> Errors:
+def _measured_errors(look: Look, clearance_m: float) -> Errors:
     p = look.X_CO[:3, 3] - look.X_CM[:3, 3] - np.array([0.0, 0.0, clearance_m])
     return Errors(p, angle_between(look.X_CM[:3, :3], look.X_CO[:3, :3]))
 

@@ -20,7 +20,7 @@ from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import Array, from_pose
-from vision_pc.core.types import Look, StereoOffset
+from vision_pc.core.types import Look, MisplacedMarker, StereoOffset
 
 
 def look_of(answer: JSON) -> JudgedLook:
@@ -49,8 +49,16 @@ def look_of(answer: JSON) -> JudgedLook:
         frame_cov_CM=unknown,
         frame_cov_CO=unknown,
         offset=offset,
+        misplaced=_misplaced(answer["misplaced_marker"]),
     )
     return JudgedLook(look, _verdict(answer))
+
+
+def _misplaced(answer: JSON | None) -> MisplacedMarker | None:
+    if answer is None:
+        return None
+    off, std = (1e-3 * np.array([answer[name]["x"], answer[name]["y"]]) for name in ("off_mm", "std_mm"))
+    return MisplacedMarker(answer["id"], off, std)
 
 
 def _spread(std_mm: JSON, std_deg: JSON) -> Array:

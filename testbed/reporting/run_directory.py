@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from rich.table import Table
 from rich.text import Text
 
+from controller.core.valve_wear import WORN, in_words
 from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.controllers import ControllerKind
@@ -73,6 +74,8 @@ def present(
     for stage in outcome.stages:
         if stage.note:
             out.print(Text(f"{stage.label}: {stage.note}", style="dim"))
+    for warning in warnings_in(events):
+        out.print(Text(warning, style="bold yellow"))
     for fault in outcome.details.get("faults", ()):
         out.print(Text(f"fault in the plant: {fault['name']} {fault['fault']}", style="bold yellow"))
     if "overload" in outcome.details:
@@ -85,6 +88,18 @@ def present(
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
     write_json(json_file, outcomes.figures(outcome))
     return outcome.passed
+
+
+def warnings_in(events: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What ``events`` ask a person to do, each once: valves that have worn, a marker that hangs elsewhere."""
+    found = []
+    for event in events:
+        if event.get("misplaced_marker"):
+            found.append(event["misplaced_marker"]["detail"])
+        said = event.get("what", {**event, "name": event.get("event")})  # lockstep has the scan's event whole
+        if isinstance(said, Mapping) and said.get("name") == WORN:
+            found.append(in_words(said["cause"], said["value"]))
+    return list(dict.fromkeys(found))
 
 
 def read_events(directory: Path) -> list[dict[str, Any]]:

@@ -76,12 +76,16 @@ from vision_pc.core.se3 import Array, from_pose, transform
 
 
 async def _look(application: VisionApplication, body: LookBody, report: Report) -> JudgedLook:
-    if not application.controller.connected:
+    if application.controller.connected:
+        report(0.1, "looking")
+        await application.eyes.look(body.frames)
+        judged = application.latest_look
+    else:
         report(0.1, "looking; no controller is connected")
-        return await application.look_alone(body.frames)
-    report(0.1, "looking")
-    await application.eyes.look(body.frames)
-    return application.latest_look
+        judged = await application.look_alone(body.frames)
+    if judged.look.misplaced is not None:
+        report(1.0, str(judged.look.misplaced))
+    return judged
 
 
 async def _orientation(
@@ -104,7 +108,7 @@ async def _trajectory(
 ) -> LocalCalibration:
     """The calibration is kept for look-then-move."""
     application.calibration = await trajectory_matching.trajectory_matching(
-        application.arm, application.eyes, report, settings
+        application.arm, application.eyes, report, settings, application.settings.local_map
     )
     return application.calibration
 

@@ -18,7 +18,7 @@ from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import LookVerdict, PositioningResult, Step
 from vision_pc.core.positioning.visual_servoing import Convergence
 from vision_pc.core.se3 import Array, to_pose
-from vision_pc.core.types import Look
+from vision_pc.core.types import Look, MisplacedMarker
 
 JSON = dict[str, Any]
 
@@ -121,8 +121,18 @@ def look_json(judged: JudgedLook) -> JSON:
             "std_tool_deg": degrees(look.std_tool_rad),
             "std_object_deg": degrees(look.std_object_rad),
             "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
+            "misplaced_marker": misplaced_json(look.misplaced),
         }
     )
+
+
+def misplaced_json(marker: MisplacedMarker | None) -> JSON | None:
+    """The marker whose place in markers.object the others contradict, by how much, and what to do."""
+    if marker is None:
+        return None
+    off, std = ({axis: round(1e3 * float(v), 3) for axis, v in zip("xy", values, strict=True)}
+                for values in (marker.off_m, marker.std_m))  # fmt: skip
+    return {"id": marker.marker_id, "off_mm": off, "std_mm": std, "detail": str(marker)}
 
 
 def seen_json(seen: Seen | None) -> JSON:

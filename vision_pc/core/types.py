@@ -4,6 +4,7 @@ Poses are 4×4 arrays named in the monogram way. Every covariance is 6×6 of ``s
 [δp; δθ] in the outer frame's axes, m² and rad². Times are nanoseconds on the vision PC's monotonic clock.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
@@ -101,6 +102,23 @@ class CameraErrors(NamedTuple):
         return StereoOffset(float(self.values[0]), float(self.values[1]), float(stds[0]), float(stds[1]))
 
 
+class MisplacedMarker(NamedTuple):
+    """A marker of the object that the others contradict: ``off_m`` (2,), m, in x and y of O, is where it is
+    seen less where the configuration has it, ``std_m`` (2,) what hanging and printing explain.
+    """
+
+    marker_id: int
+    off_m: Array
+    std_m: Array
+
+    def __str__(self) -> str:
+        x, y = 1e3 * self.off_m
+        return (
+            f"marker {self.marker_id} is seen {1e3 * math.hypot(*self.off_m):.1f} mm from where the others "
+            f"and markers.object put it (x {x:+.1f} mm, y {y:+.1f} mm): measure its x_m and y_m again"
+        )
+
+
 class FrameObservation(NamedTuple):
     """What one pair shows. A pose that was not measured is None, never a zero.
 
@@ -110,6 +128,7 @@ class FrameObservation(NamedTuple):
     ``ambiguous``). ``missing_*`` says why a pose is None: ``wrong_size``, ``seen_twice``,
     ``ambiguous`` or ``not_seen``.
     ``errors`` of the camera, once they were found: then the offset is no longer learnt frame by frame.
+    ``misplaced``: the marker that the others contradict.
     """
 
     capture_ns: int
@@ -127,6 +146,7 @@ class FrameObservation(NamedTuple):
     missing_object: str | None = None
     since_full_search: int = 0
     errors: CameraErrors | None = None
+    misplaced: MisplacedMarker | None = None
 
 
 class Look(NamedTuple):
@@ -135,7 +155,8 @@ class Look(NamedTuple):
     ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object;
     ``cov_CM`` / ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
     square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C. ``X_BT`` is
-    NaN where nobody told where the arm is: nothing can be computed from it.
+    NaN where nobody told where the arm is: nothing can be computed from it. ``misplaced``: the marker whose
+    place most of the frames question.
     """
 
     time_ns: int
@@ -150,6 +171,7 @@ class Look(NamedTuple):
     frame_cov_CM: Array
     frame_cov_CO: Array
     offset: StereoOffset | None
+    misplaced: MisplacedMarker | None = None
 
     @property
     def arm_known(self) -> bool:

@@ -156,7 +156,8 @@ def _line(rig: Bench, row: Row) -> Traced:
 def _match(rig: Bench, row: Row) -> Traced:
     """3.2.2: path, match, and two inputs by (22)."""
     programs = rig.settings.vision.programs
-    found = run(trajectory_matching(rig.arm, rig.eyes, _silent, programs.trajectory))
+    made = programs.trajectory, programs.local_map
+    found = run(trajectory_matching(rig.arm, rig.eyes, _silent, *made))
     for axis, mean, most in zip("xyz", found.residuals.mean_m, found.residuals.maximum_m, strict=True):
         row |= {f"residual_{axis}_mm": 1e3 * float(mean), f"residual_max_{axis}_mm": 1e3 * float(most)}
     row["residual_mm"] = 1e3 * float(np.linalg.norm(found.residuals.mean_m))

@@ -19,6 +19,7 @@ from plant_emulator.core.faults.kinds import (
     ValveSlow,
     ValveStuck,
     ValveSwapped,
+    ValvesWorn,
 )
 from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.layout import N_ACTUATORS, SPOOL_RATE
@@ -30,14 +31,15 @@ MOST_KG = 1000.0
 
 
 def break_hydraulics(
-    active: Sequence[Injection], now_ns: int, model: Model, healthy_omega: Array, state: Array
-) -> None:
-    """Write into ``model`` and ``state`` what valves and pump are like at ``now_ns``.
+    active: Sequence[Injection], now_ns: int, model: Model, healthy: Array, state: Array
+) -> float:
+    """How many times as wide as built the valves' hysteresis is at ``now_ns``; what else valves and pump are
+    like is written into ``model`` and ``state``.
 
-    ``healthy_omega`` (6,): the spools' natural frequencies (rad/s). A stuck spool has none, and no rate.
+    ``healthy`` (6, A_COLUMNS): the actuators as built. A stuck spool has no natural frequency, and no rate.
     """
-    omega = model.actuators[:, col.A_OMEGA]
-    omega[:] = healthy_omega
+    omega, wider = model.actuators[:, col.A_OMEGA], 1.0
+    model.actuators[:] = healthy
     model.circuit[col.C_RUNNING] = 1.0
     for injection in active:
         fault = injection.fault
@@ -46,6 +48,11 @@ def break_hydraulics(
             state[SPOOL_RATE + fault.index] = 0.0
         elif isinstance(fault, ValveSlow):
             omega[fault.index] *= fault.bandwidth_share
+        elif isinstance(fault, ValvesWorn):
+            edges = len(col.EDGES)
+            model.actuators[:, col.A_DEADBAND : col.A_DEADBAND + edges] *= fault.deadband_share
+            model.actuators[:, col.A_GAIN + edges // 2 : col.A_GAIN + edges] *= fault.lowering_flow_share
+            wider *= fault.hysteresis_share
         elif isinstance(fault, SupplyLost):
             model.circuit[col.C_RUNNING] = 0.0
         elif isinstance(fault, OwnFault):
@@ -54,6 +61,7 @@ def break_hydraulics(
             state[SPOOL_RATE : SPOOL_RATE + N_ACTUATORS][omega == 0.0] = 0.0
             if not fault.pump_runs(elapsed_s):
                 model.circuit[col.C_RUNNING] = 0.0
+    return wider
 
 
 def swapped_valves(faults: Sequence[AnyFault]) -> list[int]:

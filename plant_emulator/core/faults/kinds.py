@@ -60,6 +60,17 @@ class ValveSlow(JointFault):
     bandwidth_share: Annotated[float, Field(ge=0.01, le=1.0)]
 
 
+class ValvesWorn(BaseFault):
+    """All valves have worn since their numbers were found: edges open later, the hysteresis is wider,
+    lowering gets less flow. Shares of what they were.
+    """
+
+    kind: Literal["valves_worn"] = "valves_worn"
+    deadband_share: Annotated[float, Field(ge=1.0, le=3.0)] = 1.3
+    hysteresis_share: Annotated[float, Field(ge=1.0, le=3.0)] = 1.5
+    lowering_flow_share: Annotated[float, Field(ge=0.1, le=1.0)] = 0.85
+
+
 class ValveSwapped(JointFault):
     """The plugs of the valve's two solenoids are swapped: the spool goes the other way."""
 
@@ -193,6 +204,7 @@ CameraFault = CameraFrozen | CameraBlind | FramesDropped | MarkerCovered
 Fault = (
     ValveStuck
     | ValveSlow
+    | ValvesWorn
     | ValveSwapped
     | SupplyLost
     | EncoderStuck

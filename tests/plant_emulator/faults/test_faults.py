@@ -20,6 +20,7 @@ from plant_emulator.core.faults.kinds import (
     ValveSlow,
     ValveStuck,
     ValveSwapped,
+    ValvesWorn,
 )
 from plant_emulator.core.hydraulics.valve_commands import orifice_flow
 from plant_emulator.core.layout import JOINTS
@@ -94,6 +95,29 @@ def test_a_slow_valve_peaks_as_late_as_its_bandwidth_says(share: float) -> None:
     peak_s = np.pi / (omega * np.sqrt(1.0 - valves.damping_ratio**2))
     assert (np.argmax(spools) + 1) * 0.5e-3 == pytest.approx(peak_s, abs=2e-3)
     assert max(spools) == pytest.approx(0.3 * 1.0433, rel=2e-3)
+
+
+def flow(plant: Plant, spool: float) -> float:
+    """The oil (m³/s) that the lift's valve has let into either chamber, 0.5 s after its command."""
+    driver = Driver(plant)
+    driver.run(0.5, (0.0, spool, 0.0, 0.0, 0.0, 0.0))
+    return float(plant.truth().flows[LIFT].max())
+
+
+def test_worn_valves_open_later_pass_less_while_lowering_and_are_as_before_once_mended() -> None:
+    played = {"hysteresis": 0.02}
+    healthy, worn = (Plant(plant_config(valves=played), seed=1) for _ in range(2))
+    number = worn.inject(ValvesWorn(deadband_share=2.0, lowering_flow_share=0.5)).number
+    edges = healthy.model.actuators[:, col.A_DEADBAND : col.A_DEADBAND + 4]
+    assert worn.model.actuators[:, col.A_DEADBAND : col.A_DEADBAND + 4] == pytest.approx(2.0 * edges)
+    assert flow(worn, 0.3) < flow(healthy, 0.3)
+    assert flow(worn, -0.3) < 0.6 * flow(healthy, -0.3)
+    Driver(worn).run(0.2, LIFT_UP)
+    assert worn.truth().spools[LIFT] == pytest.approx(0.3 - 1.5 * 0.5 * played["hysteresis"], abs=1e-3)
+    worn.clear(number)
+    np.testing.assert_array_equal(worn.model.actuators, healthy.model.actuators)
+    Driver(worn).run(0.2, LIFT_UP)
+    assert worn.truth().spools[LIFT] == pytest.approx(0.3 - 0.5 * played["hysteresis"], abs=1e-3)
 
 
 def test_a_lost_supply_lets_the_pressure_fall_and_the_arm_only_sink(plant: Plant) -> None:
@@ -238,6 +262,7 @@ EVERY: list[dict[str, Any]] = [
         for joint in JOINTS
     ),
     {"kind": "valve_slow", "joint": "wrist3", "bandwidth_share": 0.3},
+    {"kind": "valves_worn", "deadband_share": 1.2, "hysteresis_share": 2.0, "lowering_flow_share": 0.5},
     {"kind": "encoder_jump", "joint": "slew", "angle_mrad": -3.5},
     {"kind": "encoder_bias", "joint": "tilt", "angle_mrad": 3.5, "ramp_s": 0.5},
     {"kind": "supply_lost"},

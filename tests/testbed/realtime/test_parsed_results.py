@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from controller.core.valve_wear import in_words
 from protocol.errors import LinkLost
 from testbed.demonstration.sequence import note_of
 from testbed.realtime.rest_rig import RESULT_OF, look_of
+from testbed.reporting.run_directory import warnings_in
 from vision_pc.application.results import (
     JudgedLook,
     calibration_json,
@@ -18,7 +20,7 @@ from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.expected_end import expected_end
 from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import transform
-from vision_pc.core.types import Look, StereoOffset
+from vision_pc.core.types import Look, MisplacedMarker, StereoOffset
 
 X = transform(np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.2, 1.3]))
 LENGTHS_M = np.array([0.012, -0.0035, 0.4])
@@ -27,15 +29,19 @@ VERDICT = LookVerdict(LENGTHS_M, np.diag(LENGTHS_M**2) / 100, 0.005, 0.1, inside
 
 def test_a_look() -> None:
     spread = np.diag(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e-6)
-    look = Look(
-        7, X, np.eye(4), X, 5, 1, 2, spread, 4.0 * spread, spread, spread, StereoOffset(0.1, 0.2, 1, 1)
-    )
+    doubted = MisplacedMarker(2, np.array([-0.01, 0.0005]), np.array([0.001, 0.0012]))
+    offset = StereoOffset(0.1, 0.2, 1, 1)
+    look = Look(7, X, np.eye(4), X, 5, 1, 2, spread, 4.0 * spread, spread, spread, offset, doubted)
     read, verdict = look_of(look_json(JudgedLook(look, VERDICT)))
     assert (read.time_ns, read.frames, read.failed_tool, read.failed_object) == (7, 5, 1, 2)
     assert np.allclose((read.X_CM, read.X_CO, read.X_BT), (X, np.eye(4), X))
     assert np.allclose(read.cov_CM, look.cov_CM, rtol=1e-2)
     assert np.allclose(read.cov_CO, look.cov_CO, rtol=1e-2)
     assert np.isnan(read.frame_cov_CM).all()
+    assert read.misplaced is not None
+    assert str(read.misplaced) == str(doubted)
+    assert "marker 2 is seen 10.0 mm from" in str(doubted)
+    assert np.allclose(read.misplaced.std_m, doubted.std_m)
     assert read.offset is not None
     assert (read.offset.x_px, read.offset.y_px) == (0.1, 0.2)
     assert np.allclose(verdict.error_m, VERDICT.error_m)
@@ -89,3 +95,19 @@ def test_a_local_calibration() -> None:
     assert np.allclose(read.residuals.maximum_m, table.maximum_m)
     assert (read.R_TC, read.samples, read.method) == (None, 90, "points/time")
     assert note_of(read) == note_of(result) != ""
+
+
+def test_what_events_ask_a_person_to_do_is_said_once() -> None:
+    worn = {"name": "worn", "cause": "LIFT", "value": 1.31, "limit": 1.1}
+    doubted = MisplacedMarker(2, np.array([-0.01, 0.0005]), np.array([0.001, 0.0012]))
+    looked = {"event": "look", "misplaced_marker": {"id": 2, "detail": str(doubted)}}
+    events = [
+        {"event": "controller", "what": worn},  # lockstep
+        {"event": "worn", "cause": "TILT", "value": 1.2, "limit": 1.1},  # the controller's own log
+        looked,
+        looked,
+        {"event": "look", "misplaced_marker": None},
+        {"event": "controller", "what": {"name": "parked", "cause": "VALVES_SHUT"}},
+        {"event": "fault", "what": "text"},
+    ]
+    assert warnings_in(events) == [in_words("LIFT", 1.31), in_words("TILT", 1.2), str(doubted)]

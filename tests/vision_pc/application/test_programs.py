@@ -165,16 +165,19 @@ async def test_a_look_begins_without_a_controller_and_nothing_else_does() -> Non
             raise LinkLost("link.not_connected", "no controller")
 
     asked: list[int | None] = []
+    doubted = SimpleNamespace(look=SimpleNamespace(misplaced="marker 2 is seen 10 mm from it"))
+    reported: list[str] = []
 
-    async def look_alone(frames: int | None) -> str:
+    async def look_alone(frames: int | None) -> Any:
         asked.append(frames)
-        return "a look"
+        return doubted
 
     bare: Any = application()
     bare.controller, bare.look_alone = Absent(), look_alone
     look = by_name(PROGRAMS)["look"]
     look.refuse_now(bare, look.requested(bare, look.body(frames=4)))
-    assert await look.run(bare, look.body(frames=4), lambda part, what: None) == "a look"
+    assert await look.run(bare, look.body(frames=4), lambda part, what: reported.append(what)) is doubted
+    assert reported[-1] == doubted.look.misplaced
     assert asked == [4]
     for program in PROGRAMS:
         if program.name != "look":

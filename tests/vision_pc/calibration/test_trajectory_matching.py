@@ -22,6 +22,7 @@ from vision_pc.core.se3 import Array, angle_between, exp_so3, log_so3, transform
 from vision_pc.core.types import WatchSample
 
 SETTINGS = shipped().trajectory
+ODOMETRY = shipped().local_map
 RIGID: dict[str, Any] = {"encoder_offset": np.zeros(6), "compliance": np.zeros(2), "play": 0.0}
 
 
@@ -38,7 +39,8 @@ async def calibrated(
 ) -> tuple[LocalCalibration, Array]:
     """The calibration, and the true R_BC."""
     arm = SyntheticRig(t, seed)
-    calibration = await trajectory_matching(arm, arm, silent, settings)
+    noisy = ODOMETRY.model_copy(update={"odometry_std_m": t.odometry_std_m})
+    calibration = await trajectory_matching(arm, arm, silent, settings, noisy)
     return calibration, arm.X_BC_true()[:3, :3]
 
 
@@ -163,7 +165,7 @@ async def test_table_3_residuals_are_those_of_the_trajectories() -> None:
 async def test_poor_paths_are_refused_before_the_arm_moves(changes: dict[str, Any], cause: str) -> None:
     arm = SyntheticRig(truth(0), 0)
     with pytest.raises(MeasurementFailed) as refused:
-        await trajectory_matching(arm, arm, silent, changed(**changes))
+        await trajectory_matching(arm, arm, silent, changed(**changes), ODOMETRY)
     assert refused.value.cause == f"measurement.{cause}"
     assert arm.motions == 0
 
@@ -172,21 +174,21 @@ async def test_lost_odometry_is_refused() -> None:
     arm = SyntheticRig(truth(0), 0)
     arm.lose_odometry_after = 30
     with pytest.raises(MeasurementFailed) as refused:
-        await trajectory_matching(arm, arm, silent, SETTINGS)
+        await trajectory_matching(arm, arm, silent, SETTINGS, ODOMETRY)
     assert refused.value.cause == "measurement.odometry_lost"
 
 
 async def test_too_few_pictures_are_refused() -> None:
     arm = SyntheticRig(truth(0), 0, rate_hz=1.0, speed=0.5)
     with pytest.raises(MeasurementFailed) as refused:
-        await trajectory_matching(arm, arm, silent, changed(minimum_samples=60))
+        await trajectory_matching(arm, arm, silent, changed(minimum_samples=60), ODOMETRY)
     assert refused.value.cause == "measurement.too_few_samples"
 
 
 async def test_an_unseen_tool_marker_is_refused() -> None:
     arm = SyntheticRig(truth(0, missed_share=1.0), 0)
     with pytest.raises(MeasurementFailed) as refused:
-        await trajectory_matching(arm, arm, silent, SETTINGS)
+        await trajectory_matching(arm, arm, silent, SETTINGS, ODOMETRY)
     assert refused.value.cause == "measurement.tool_not_seen"
 
 

@@ -152,10 +152,7 @@ async def watched_path(
         end = await move_with_take_up(arm, waypoints, take_up, dimensions, settings)
         ended = await at_rest(watch, settings.at_rest, len(watch.samples))
     if markers:
-        way_m = 4.0 * settings.leg_m
-        refuse_moving_object(
-            watch.samples, 2.0 * settings.odometry_std_m + settings.odometry_scale_std * way_m
-        )
+        refuse_moving_object(watch.samples, 4.0 * settings.leg_m, settings)
     track = track_of(watch.samples, first, max(AT_REST, settings.at_rest.pictures))
     swings = (end.take_up.swing_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
     return track._replace(

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import WatchSample
 
@@ -13,6 +14,7 @@ _PICTURES = 8  # [D] at either end of the way, the arm at rest there
 _SIGMAS = 4.0  # [D]
 _LEAST_M = 1e-3  # [D] over a way of some 20 s: 0.05 mm/s, which ends inside the tolerance
 _TO_SIGMA = 1.4826  # a normal's standard deviation over its median absolute deviation
+_OF_MEDIAN = 1.2533  # [S] the standard deviation of a normal's median over that of its mean
 
 
 class ObjectMotion(NamedTuple):
@@ -39,20 +41,25 @@ def object_motion(samples: Sequence[WatchSample], way_std_m: float) -> ObjectMot
     places = np.array([s.X_C0C[:3, :3] @ s.X_CO[:3, 3] + s.X_C0C[:3, 3] for s in seen])  # type: ignore[index]
     ends = places[:_PICTURES], places[-_PICTURES:]
     middles = [np.median(end, axis=0) for end in ends]
-    spreads = [_TO_SIGMA * np.median(np.abs(e - m), axis=0) for e, m in zip(ends, middles, strict=True)]
-    variance = sum(spread**2 for spread in spreads) / _PICTURES + way_std_m**2
+    off = np.concatenate([end - middle for end, middle in zip(ends, middles, strict=True)])
+    spread = _OF_MEDIAN * _TO_SIGMA * np.median(np.abs(off), axis=0)
+    variance = 2.0 * spread**2 / _PICTURES + way_std_m**2
     times_s = [1e-9 * s.time_ns for s in seen]
     time_s = float(np.mean(times_s[-_PICTURES:]) - np.mean(times_s[:_PICTURES]))
     return ObjectMotion(middles[1] - middles[0], np.sqrt(variance), time_s)
 
 
-def refuse_moving_object(samples: Sequence[WatchSample], way_std_m: float) -> None:
-    """Raises MeasurementFailed (``target.moves``) with the speed where the object goes."""
-    motion = object_motion(samples, way_std_m)
+def refuse_moving_object(
+    samples: Sequence[WatchSample], path_m: float, odometry: LocalErrorModelSettings
+) -> None:
+    """Raises MeasurementFailed (``target.moves``) with the speed where the object moves while the camera
+    goes along a path of ``path_m`` and back to where it was.
+    """
+    motion = object_motion(samples, 2.0 * odometry.odometry_std_m + odometry.odometry_scale_std * path_m)
     if motion is not None and motion.is_seen:
         far_mm = 1e3 * float(np.linalg.norm(motion.shift))
         raise MeasurementFailed(
             "target.moves",
-            f"local track: the object moves by {far_mm / motion.time_s:.2f} mm/s: {far_mm:.1f} mm in "
+            f"the object moves by {far_mm / motion.time_s:.2f} mm/s: {far_mm:.1f} mm in "
             f"{motion.time_s:.0f} s against what is around it, limit {1e3 * _LEAST_M:g} mm",
         )

@@ -17,7 +17,13 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import Association, MatchedTraces, PathPlacement, TrajectorySettings
+from vision_pc.config.programs import (
+    Association,
+    LocalErrorModelSettings,
+    MatchedTraces,
+    PathPlacement,
+    TrajectorySettings,
+)
 from vision_pc.core.calibration.local_calibration import (
     AT_REST,
     LocalCalibration,
@@ -25,6 +31,7 @@ from vision_pc.core.calibration.local_calibration import (
     rotation_covariance,
     settled_pose,
 )
+from vision_pc.core.calibration.object_motion import refuse_moving_object
 from vision_pc.core.point_set_matching.coarse import asymmetry, coarse_alignment, path_frame
 from vision_pc.core.point_set_matching.hybrid_mixture import (
     MixtureMatch,
@@ -49,24 +56,30 @@ class TrajectoryPair(NamedTuple):
 
 
 async def trajectory_matching(
-    arm: Arm, eyes: Eyes, report: Report, settings: TrajectorySettings
+    arm: Arm, eyes: Eyes, report: Report, settings: TrajectorySettings, odometry: LocalErrorModelSettings
 ) -> LocalCalibration:
     """The local calibration from one planar path; the arm rests at the path's end.
 
-    Raises MeasurementFailed for a straight or symmetric path (before the arm moves), lost odometry, too few
-    samples, or a match that is ill-conditioned; errors of arm and eyes pass through.
+    ``odometry``: how well odometry measures. Raises MeasurementFailed for a straight or symmetric path (then
+    nothing moves), lost odometry, too few samples, a match that is ill-conditioned, and an object that moves
+    while the camera goes to the path's beginning and back; errors of arm and eyes pass through.
     """
     X_BT_now = (await arm.view()).X_BT
     path = asymmetric_path(X_BT_now, settings)
     refuse_poor_path(path, settings)
-    if settings.placement == PathPlacement.ENDS_HERE:
-        report(0.05, "driving to where the path begins")
-        await arm.move_to(path[0])
-    report(0.15, f"path of {len(settings.segments_m)} segments, {sum(settings.segments_m):.2f} m")
+    length, returns = sum(settings.segments_m), settings.placement == PathPlacement.ENDS_HERE
     async with eyes.watch(markers=settings.method == MatchedTraces.POINTS, odometry=True) as watch:
+        if returns:
+            report(0.05, "driving to where the path begins")
+            await arm.move_to(path[0])
+        first = len(watch.samples) if returns else 0
+        report(0.15, f"path of {len(settings.segments_m)} segments, {length:.2f} m")
         await arm.follow(path[1:], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
-    report(0.85, f"matching {len(watch.samples)} samples")
-    calibration = calibrate(associated_trajectories(watch.samples, settings), settings)
+    samples = watch.samples[first:]
+    report(0.85, f"matching {len(samples)} samples")
+    if returns:  # elsewhere the camera sees the object from another side, with other errors
+        refuse_moving_object(watch.samples, 2.0 * length, odometry)
+    calibration = calibrate(associated_trajectories(samples, settings), settings)
     report(1.0, f"rotation known to {math.degrees(calibration.rotation_std()):.2f} deg")
     return calibration
 

@@ -11,6 +11,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.config.vision import LookSettings, MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import markers, object_of_interest
+from vision_pc.core.perception.layout_check import misplaced_in_most, misplaced_marker
 from vision_pc.core.perception.markers import Detected, Region, Sighting
 from vision_pc.core.perception.stereo_pose import Priors
 from vision_pc.core.se3 import Array
@@ -160,6 +161,8 @@ def observation_of(
     known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
     scene = object_of_interest.locate(seen.sightings, camera, settings, priors, known)
     tool, target = scene.tool, scene.object
+    found = tuple(sighting.observation for sighting in seen.sightings)
+    focal_px = float(camera.left.K[0, 0])
     return FrameObservation(
         capture_ns=stamp.capture_ns,
         frame_id=stamp.frame_id,
@@ -169,7 +172,7 @@ def observation_of(
         X_CO=None if target is None else target.X,
         cov_CO=None if target is None else target.covariance,
         bias_CO=None if target is None else target.bias,
-        markers=tuple(sighting.observation for sighting in seen.sightings),
+        markers=found,
         rejected=dict(seen.refused + Counter(seen.unfit.values()) + scene.refused),
         offset=scene.offset if scene.tool or scene.object or previous is not None else None,
         missing_tool=_missing(tool, {settings.tool.id}, seen.sightings, seen.unfit),
@@ -178,6 +181,7 @@ def observation_of(
         ),
         since_full_search=seen.since_full_search,
         errors=None if previous is None else previous.errors,
+        misplaced=misplaced_marker(found, focal_px, settings),
     )
 
 
@@ -278,6 +282,7 @@ def combine(
         frame_cov_CM=tool_mean.frame_noise,
         frame_cov_CO=target_mean.frame_noise,
         offset=observations[-1].offset,
+        misplaced=misplaced_in_most(observations),
     )
 
 

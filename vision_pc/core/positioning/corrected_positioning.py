@@ -26,17 +26,18 @@ from vision_pc.core.calibration.take_up import widened_by_sight
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import (
+    ELSEWHERE,
     Ended,
     LookVerdict,
     PositioningResult,
     Step,
+    contradiction_m,
     judge,
     positioning_error,
     reached,
 )
 from vision_pc.core.positioning.predicted_end import (
     PlannedStep,
-    contradiction_m,
     end_by_look,
     end_by_odometry,
     expected_residual,
@@ -48,7 +49,6 @@ from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
 _DOUBTFUL = 0.5  # of the tolerance: what is predicted does not expect ends farther off
-_CONTRADICTED = ": odometry had the target elsewhere: does it move?"
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -118,9 +118,9 @@ async def look_then_move_corrected(
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     last = await eyes.look()
     looks = judge(look, settings), judge(last, settings)
-    track = track._replace(contradiction=contradiction_m(seen, last, settings))
+    track = track._replace(contradiction=contradiction_m(seen, last))
     ended = _ended(looks[-1], seen, track, settings)
-    report(1.0, _error_in_words(looks[-1]) + (_CONTRADICTED if ended is Ended.CONTRADICTED else ""))
+    report(1.0, _error_in_words(looks[-1]) + (ELSEWHERE if ended is Ended.CONTRADICTED else ""))
     return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track, fitted.delay)
 
 

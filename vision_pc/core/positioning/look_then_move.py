@@ -19,7 +19,9 @@ from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look
 
+ELSEWHERE = "; the object was expected elsewhere: does it move?"
 _SIGMAS_95 = 1.96
+_CONTRADICTS = 4.0  # [D] σ in x and y: 3 of 10,000 looks at what stands still, if both σ are honest
 _IMPROVEMENT = 0.8  # a further input must bring the error below this share of the last, or it is no use
 
 
@@ -55,7 +57,8 @@ class Step(NamedTuple):
 class Ended(StrEnum):
     """Why no further input followed: inside the aim, no use, the inputs are used up, the machine could not
     bring what odometry saw outside the tolerance inside it, the tool stood nearer than drives end, or the
-    last look contradicts odometry: the object has moved, or one of the two is wrong.
+    last look contradicts where odometry saw the tool, or where the last step was predicted to end: the object
+    has moved, or one of the two is wrong.
     """
 
     REACHED = "reached"
@@ -84,6 +87,8 @@ async def look_then_move(
 ) -> PositioningResult:
     """Looks and inputs until the error is inside ``aim_m``, stops improving, or the inputs are used up.
 
+    A calibration that is off makes a first step end elsewhere, and the second look mends it: the last look
+    alone is asked whether it contradicts the step before it.
     Raises MeasurementFailed when a look fails or a step exceeds its limit (nothing moves then); errors of
     arm and eyes pass through. Source: Mäkinen et al. 2023, (20)-(22).
     """
@@ -105,7 +110,10 @@ async def look_then_move(
             break
         steps.append(step(look, settings, calibration))
         await arm.move_to(steps[-1].X_BT_ref, duration_s=settings.duration_s)
-    report(1.0, f"{ended.replace('_', ' ')}: {_in_words(looks[-1])}")
+    if steps and contradiction_m(steps[-1].expected, look) > 0.0:
+        ended = Ended.CONTRADICTED
+    doubt = ELSEWHERE if ended is Ended.CONTRADICTED else ""
+    report(1.0, f"{ended.replace('_', ' ')}: {_in_words(looks[-1])}{doubt}")
     return PositioningResult(tuple(looks), tuple(steps), ended)
 
 
@@ -156,6 +164,16 @@ def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
         np.all(across + spread <= settings.tolerance_m) or np.any(across - spread > settings.tolerance_m)
     )
     return LookVerdict(error, covariance, settings.tolerance_m, settings.clearance_m, inside, certain)
+
+
+def contradiction_m(expected: ExpectedEnd, last: Look) -> float:
+    """How far (m) the ``last`` look lies in x and y from where the end was ``expected``; 0: no farther than
+    both explain.
+    """
+    off = (last.X_CO[:3, 3] - last.X_CM[:3, 3])[:2] - expected.mean_m[:2]
+    covariance = (expected.covariance + last.cov_CM[:3, :3] + last.cov_CO[:3, :3])[:2, :2]
+    distance = math.sqrt(float(off @ np.linalg.solve(covariance, off)))
+    return float(np.linalg.norm(off)) if distance > _CONTRADICTS else 0.0
 
 
 def reached(verdict: LookVerdict, settings: PositioningSettings) -> bool:

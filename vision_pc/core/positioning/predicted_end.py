@@ -148,19 +148,6 @@ def end_by_look(residual: Array, look: Look, track: LocalTrack, settings: Positi
     return expected_end(residual, _look_covariance(look, track, settings), settings.tolerance_m)
 
 
-_CONTRADICTS = 4.0  # [D] σ in x and y: 3 of 10,000 looks at what stands still, if both σ are honest
-
-
-def contradiction_m(seen: ExpectedEnd, last: Look, settings: PositioningSettings) -> float:
-    """How far (m) the ``last`` look lies in x and y from where odometry had ``seen`` the end; 0: no farther
-    than both explain.
-    """
-    off = (last.X_CO[:3, 3] - last.X_CM[:3, 3])[:2] - seen.mean_m[:2]
-    covariance = (seen.covariance + last.cov_CM[:3, :3] + last.cov_CO[:3, :3])[:2, :2]
-    distance = math.sqrt(float(off @ np.linalg.solve(covariance, off)))
-    return float(np.linalg.norm(off)) if distance > _CONTRADICTS else 0.0
-
-
 def _uncorrected_backlash(x: Array, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
     """Covariance (3, 3) m² in B of what backlash leaves of a step ``x`` (3,) m that is driven in one go.
 

@@ -77,9 +77,10 @@ function words(look, told) {
   const place = byId('verdict-told');
   const before = told ? ` Predicted before the drive: ${percent(told.inside_probability)} inside; 95 % of ends within ±${told.ellipse_95_mm.major.toFixed(1)} × ±${told.ellipse_95_mm.minor.toFixed(1)} mm.` : '';
   const text = look ? `${look.verdict === 'inside' ? 'Inside' : 'Outside'} ±${look.tolerance_mm} mm, ${look.certain ? 'and its 95 % interval is, too' : 'but its 95 % interval crosses the limit'}.` : 'Look, or run the procedure, to measure the error.';
-  if (place.dataset.told === text + before) return;
-  place.dataset.told = text + before;
-  place.replaceChildren(make('b', {}, text), before);
+  const after = before + (look?.misplaced_marker ? ` Doubtful: ${look.misplaced_marker.detail}.` : '');
+  if (place.dataset.told === text + after) return;
+  place.dataset.told = text + after;
+  place.replaceChildren(make('b', {}, text), after);
 }
 
 const percent = (share) => (share > 0.9995 ? '>\u00a099.9\u00a0%' : `${(100 * share).toFixed(share > 0.99 ? 1 : 0)}\u00a0%`);
