@@ -8,7 +8,7 @@ from controller.core.excitation.program import ExcitationProgram, ExcitationSamp
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, ScanState, initial_state
 from controller.core.settings import settings_from
-from controller.core.valve_wear import watch_begun, watch_wear
+from controller.core.valve_wear import empty_watch, watch_wear
 from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
@@ -33,7 +33,7 @@ class ScanProgram:
         self.excitation = ExcitationProgram(self._state)
         known = config.commissioned is not None and config.commissioned.valves.pressure_compensated
         self._wear = (
-            watch_begun() if known else None
+            empty_watch() if known else None
         )  # flow that goes with the load says nothing of its valve
 
     @property

@@ -52,7 +52,7 @@ class WearWatch(NamedTuple):
     named: NDArray[np.bool_]
 
 
-def watch_begun() -> WearWatch:
+def empty_watch() -> WearWatch:
     """The watch before the first scan."""
     return WearWatch(0.0, np.zeros(6), (), np.zeros((5, 6, 2)), np.zeros(6, dtype=bool))
 
@@ -117,7 +117,7 @@ def _reported(settings: ScanSettings, watch: WearWatch) -> tuple[WearWatch, tupl
 
 
 def in_words(joint: str, times: float) -> str:
-    """What a person is told of a ``worn`` event."""
+    """The sentence of a ``worn`` event for a person."""
     return (
         f"{joint.lower()} takes {times:.2f} times the spool that its commissioned valve says: "
         "the valve has worn, commission again"

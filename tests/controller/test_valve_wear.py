@@ -10,7 +10,7 @@ from controller.core.scan_types import ScanEvent, initial_state
 from controller.core.servo.joint_control import opening_for
 from controller.core.servo.servo_step import full_spool_speeds
 from controller.core.settings import ScanSettings, settings_from
-from controller.core.valve_wear import in_words, watch_begun, watch_wear
+from controller.core.valve_wear import empty_watch, in_words, watch_wear
 from laboratory.experiments.positioning.corrected_run import settings_of
 from plant_emulator.core.faults.kinds import ValvesWorn
 from plant_emulator.core.plant import Plant
@@ -35,12 +35,12 @@ def settings() -> ScanSettings:
     return settings_from(known.arm, known.controller)
 
 
-def told(
+def events_after(
     settings: ScanSettings, more: float, seconds: float, mode: Mode = Mode.MOVING, sense: float = 1.0
 ) -> list[ScanEvent]:
     """Events of a tilt that turns evenly on a spool that is ``more`` of its deadband beyond its valve's."""
     servo, side = settings.servo, 0 if sense > 0.0 else 1
-    state, watch, events = initial_state(settings), watch_begun(), []
+    state, watch, events = initial_state(settings), empty_watch(), []
     q, spool = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0]), np.zeros(6)
     for _ in range(round(seconds / settings.cycle_s)):
         q = q + sense * RATE_RAD_S * settings.cycle_s * np.eye(6)[TILT]
@@ -61,11 +61,11 @@ def told(
 
 @pytest.mark.parametrize("more", [-0.3, 0.0, 0.15])
 def test_a_valve_about_as_it_was_found_is_not_named(settings: ScanSettings, more: float) -> None:
-    assert told(settings, more, 6.0) == []
+    assert events_after(settings, more, 6.0) == []
 
 
 def test_a_worn_valve_is_named_once_with_its_joint_and_how_much_more_it_takes(settings: ScanSettings) -> None:
-    (event,) = told(settings, 0.4, 6.0)
+    (event,) = events_after(settings, 0.4, 6.0)
     assert (event.name, event.cause) == ("worn", "TILT")
     assert 1.05 < event.limit < event.value < 1.4
     assert in_words(event.cause, 1.31) == (
@@ -75,12 +75,12 @@ def test_a_worn_valve_is_named_once_with_its_joint_and_how_much_more_it_takes(se
 
 
 def test_an_arm_that_makes_no_motion_says_nothing_of_its_valves(settings: ScanSettings) -> None:
-    assert told(settings, 0.4, 6.0, Mode.STANDBY) == []
+    assert events_after(settings, 0.4, 6.0, Mode.STANDBY) == []
 
 
 def test_a_load_that_comes_down_on_its_load_holding_valve_is_left_out(settings: ScanSettings) -> None:
     assert settings.servo.joints.holding.damping[TILT] > 0.0
-    assert told(settings, 0.4, 6.0, sense=-1.0) == []
+    assert events_after(settings, 0.4, 6.0, sense=-1.0) == []
 
 
 def driven(worn: bool) -> tuple[set[str], float]:
@@ -91,7 +91,7 @@ def driven(worn: bool) -> tuple[set[str], float]:
         plant.inject(ValvesWorn())
     loop = ClosedLoop(settings_from(drawn.arm, drawn.controller), plant)
     loop.enable()
-    begin, watch, named, first_s = loop.view.X_BT, watch_begun(), set(), 0.0
+    begin, watch, named, first_s = loop.view.X_BT, empty_watch(), set(), 0.0
     for off in (0.2, -0.1, 0.15, 0.0):
         x, y, z = (float(at) for at in np.array(begin.p_m) + off * np.ones(3))
         reference = partial(ReferencePose, X_BT_ref=Pose((x, y, z), begin.q_wxyz), duration_s=0.0)

@@ -11,12 +11,12 @@ ROOMS = measures.rooms(measures.ROOT)
 # brings a capability, by what that needs, with the reason in its commit.
 BUDGET = {
     "lines of conformance": 10_340,
-    "lines of laboratory": 15_890,
-    "lines of product": 84_060,
-    "modules": 676,
-    "lines of source": 111_060,
-    "lines of tests": 64_020,
-    "words of pages": 49_960,
+    "lines of laboratory": 15_901,
+    "lines of product": 84_410,
+    "modules": 680,
+    "lines of source": 111_530,
+    "lines of tests": 64_700,
+    "words of pages": 50_900,
     "words of the README": 700,
     "configuration keys": 654,
     "constants of vision without a tag": 375,

@@ -155,7 +155,7 @@ class Look(NamedTuple):
     ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object;
     ``cov_CM`` / ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
     square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C. ``X_BT`` is
-    NaN where nobody told where the arm is: nothing can be computed from it. ``misplaced``: the marker whose
+    NaN where nothing says where the arm is: nothing can be computed from it. ``misplaced``: the marker whose
     place most of the frames question.
     """
 
