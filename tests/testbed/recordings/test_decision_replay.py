@@ -28,6 +28,7 @@ from vision_pc.application.program import Program
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.core.digest import digest
 from vision_pc.core.ports import Arm, Eyes
+from vision_pc.core.types import MisplacedMarker
 from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_recorder as topics
@@ -125,6 +126,10 @@ def test_what_is_read_comes_back_to_the_last_bit(path: Path) -> None:
     looks = all_of(path, topics.LOOK, own.LookMessage)
     assert [digest(reads.look_of_message(said)) for said in looks] == [said.digest for said in looks]
     assert len(looks) == 2
+    doubt = MisplacedMarker(7, np.array([0.01, -0.002]), np.array([1e-3, 2e-3]))
+    doubted = reads.look_of_message(looks[0])._replace(misplaced=doubt)
+    written = own.LookMessage.FromString(own.look_bytes(own.CombinedLook(doubted, (1, 2))))
+    assert digest(reads.look_of_message(written)) == digest(doubted)
 
 
 def test_another_measurement_shows_in_the_first_reference_that_rests_on_it(

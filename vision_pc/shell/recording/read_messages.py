@@ -15,7 +15,15 @@ from protocol.errors import LongreachError
 from protocol.faults import FaultCode, GroupState, Severity
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraErrors, FrameObservation, Look, StereoOffset, WatchHealth, WatchSample
+from vision_pc.core.types import (
+    CameraErrors,
+    FrameObservation,
+    Look,
+    MisplacedMarker,
+    StereoOffset,
+    WatchHealth,
+    WatchSample,
+)
 
 _VIEW = ("q_meas", "q_cmd", "X_BT", "X_BT_cmd", "unrest")
 _CODES = ("time_ns", "group_state", "fault", "severity", "motion_id")
@@ -132,14 +140,18 @@ def health_of_message(message: Any) -> WatchHealth:
 
 def look_of_message(message: Any) -> Look:
     """The look that a longreach.Look holds."""
-    told = [name for name in Look._fields if name != "offset"]
-    fields: dict[str, Any] = {name: getattr(message, name) for name in told}
+    plain = [name for name in Look._fields if name not in ("offset", "misplaced")]
+    fields: dict[str, Any] = {name: getattr(message, name) for name in plain}
     for name, value in fields.items():
         if name.startswith("X_"):
             fields[name] = np.reshape(value, (4, 4))
         elif "cov_" in name:
             fields[name] = np.reshape(value, (6, 6))
-    return Look(**fields, offset=_offset(message))
+    misplaced = None
+    if message.HasField("misplaced_marker"):
+        off_m, std_m = np.array(message.misplaced_off_m), np.array(message.misplaced_std_m)
+        misplaced = MisplacedMarker(message.misplaced_marker, off_m, std_m)
+    return Look(**fields, offset=_offset(message), misplaced=misplaced)
 
 
 def sample_of_message(message: Any) -> WatchSample:

@@ -81,6 +81,7 @@ def _integers(*names: str) -> list[MessageField]:
 
 
 _OFFSET = tuple(f"offset_{name}_px" for name in ("x", "y", "std_x", "std_y"))
+_MISPLACED = ("misplaced_marker", "misplaced_off_m", "misplaced_std_m")
 
 FrameMessage = message_class(
     "Frame", [*_integers("frame_id", "capture_ns", "width", "height", "crc_left", "crc_right")]
@@ -141,6 +142,8 @@ LookMessage = message_class(
         *_several("X_CM", "X_CO", "X_BT", "cov_CM", "cov_CO", "frame_cov_CM", "frame_cov_CO"),
         *_integers("frames", "failed_tool", "failed_object"),
         *map(MessageField, _OFFSET),
+        *_integers("misplaced_marker"),
+        *_several("misplaced_off_m", "misplaced_std_m"),
     ],
 )
 ReferenceMessage = message_class(
@@ -234,8 +237,9 @@ def fitted_bytes(made: Fitted) -> bytes:
 
 def look_bytes(made: CombinedLook) -> bytes:
     """longreach.Look."""
-    look = made.look
-    fields = {name: value for name, value in look._asdict().items() if name != "offset"}
+    look, misplaced = made.look, made.look.misplaced
+    fields = {name: value for name, value in look._asdict().items() if name not in ("offset", "misplaced")}
+    doubt = None if misplaced is None else zip(_MISPLACED, misplaced, strict=True)
     return _filled(
         LookMessage,
         observations=made.observations,
@@ -243,6 +247,7 @@ def look_bytes(made: CombinedLook) -> bytes:
         **_position_fields("CM", look.X_CM),
         **_position_fields("CO", look.X_CO),
         **({} if look.offset is None else dict(zip(_OFFSET, look.offset, strict=True))),
+        **dict(doubt or ()),
         **fields,
     )
 
