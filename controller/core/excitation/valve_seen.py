@@ -47,25 +47,34 @@ def turning_rate(state: Excitation, stroke: Stroke) -> float:
 def quickly_back(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
     """How far (spool) the command turns back quickly: further, it would pass what the ramp shall show.
 
-    The first, slow triangle does so for as long as the speed does not fall: it finds the slack.
+    A slow triangle does so for as long as the speed does not fall: it finds the slack.
     """
-    if stroke.speed < float(limits.top_speed[stroke.joint]):
+    if _finds_slack(limits, stroke):
         return state.top
     return float(state.slack[stroke.joint]) + _QUICKLY * _opening(state, stroke)
 
 
 def with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> Excitation:
-    """``state`` on the falling ramp, with what its command had to turn back before the speed fell.
+    """``state`` on the falling ramp; after a slow triangle with what its command had to turn back before the
+    speed fell.
 
-    What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short. Every
-    estimate is short, that of a ramp whose leap was already right most of all: the greatest is kept.
+    What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short. A
+    load that swings hides that the speed falls: quick triangles tell nothing, and of the slow ones the
+    shortest holds.
     """
+    state = state._replace(phase=Phase.FALLING, phase_s=0.0)
+    if not _finds_slack(limits, stroke):
+        return state
     rate = max(turning_rate(state, stroke), stroke.pace * limits.ramp_rate)
     quick = rate * _LAG_S + 2.0 * (1.0 - TURNED) * rate / _TURNING_1_S
-    back = min(state.top - abs(state.spool), quickly_back(limits, state, stroke))
+    found = max(state.top - abs(state.spool) - quick, 0.0)
     slack = state.slack.copy()
-    slack[stroke.joint] = max(back - quick, slack[stroke.joint])
-    return state._replace(phase=Phase.FALLING, phase_s=0.0, slack=slack)
+    slack[stroke.joint] = min(found, slack[stroke.joint] or found)
+    return state._replace(slack=slack)
+
+
+def _finds_slack(limits: ExcitationLimits, stroke: Stroke) -> bool:
+    return stroke.speed < float(limits.top_speed[stroke.joint])
 
 
 def with_steeper(state: Excitation, stroke: Stroke) -> Excitation:
