@@ -39,7 +39,6 @@ LABORATORY := $(addprefix tests/, \
 	foundation/test_compiled.py \
 	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
 		prometheus.py stop_behind_flood.py crashes.py containers.py rest_page.py) \
-	longreach_ros2/bridge \
 	longreach/test_documented.py longreach/test_pages_run.py \
 	plant_emulator/shell/test_plant_process.py \
 	laboratory \
@@ -51,6 +50,9 @@ LABORATORY := $(addprefix tests/, \
 		$(addprefix perception/test_, chance_markers.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
 		$(addprefix shell/test_, api_schema.py genicam.py target_routes.py)))
+
+# A whole machine beside ROS for each file: one at a time, or two cores do not keep up.
+ROS := tests/longreach_ros2/bridge
 
 .PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
@@ -87,10 +89,11 @@ demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict aga
 	$(BIN)/longreach demo $(ARGS)
 
 test: $(DEV_STAMP)  ## the product's tests, four minutes of two cores (ARGS="-k kinematics")
-	@$(PYTEST) $(LABORATORY:%=--ignore=%) $(ARGS)
+	@$(PYTEST) $(LABORATORY:%=--ignore=%) --ignore=$(ROS) $(ARGS)
 
 test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages
 	@$(PYTEST) $(LABORATORY) $(ARGS)
+	@$(BIN)/python -m pytest $(ROS) $(ARGS)
 
 other-machines: $(DEV_STAMP)  ## numerical tests as four other processors compute, and with inputs off by 1e-9 (ARGS="nehalem 3", "--today")
 	PROCESSES=$(PROCESSES) $(BIN)/python -m tests.support.other_machines $(ARGS)
