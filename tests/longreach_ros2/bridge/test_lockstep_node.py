@@ -64,7 +64,5 @@ def test_stamps_are_of_the_machines_time_and_not_of_the_wall_clock(talk: Talk) -
     latest_s = talk.passed()[0] + 60.0  # again and again: on a busy machine a stamp is too old
     while talk.tool()[1] != pytest.approx(tool[1], abs=3e-3):
         assert talk.passed()[0] < latest_s, talk.status()
-        talk.publish(
-            topic="/longreach/target", pose=tool
-        )
+        talk.publish(topic="/longreach/target", pose=tool)
         time.sleep(3.0)
