@@ -32,9 +32,8 @@ class ScanProgram:
         self._state = initial_state(self.settings)
         self.excitation = ExcitationProgram(self._state)
         known = config.commissioned is not None and config.commissioned.valves.pressure_compensated
-        self._wear = (
-            empty_watch() if known else None
-        )  # flow that goes with the load says nothing of its valve
+        # Flow that goes with the load says nothing of its valve.
+        self._wear = empty_watch() if known else None
 
     @property
     def capabilities(self) -> int:

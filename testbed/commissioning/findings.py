@@ -2,7 +2,7 @@
 
 import cmath
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from nominal_arm.commissioned import (
 from nominal_arm.description import JOINT_NAMES, NominalArm
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.ramp_rows import FrictionFindings, Uncertain, friction_findings, midway
-from testbed.commissioning.recording import JointRecording, TrialsTold, strokes_in
+from testbed.commissioning.recording import JointRecording, StrokeRecord, TrialsTold, strokes_in
 from testbed.commissioning.valve_fit import UNLIKE_RAD, EdgeFindings, edge_findings
 from vision_pc.core.calibration.joint_motion import JointSeen
 from vision_pc.core.calibration.joint_play import PlayFound, joint_play, mean_delay
@@ -34,6 +34,7 @@ class Margins(NamedTuple):
     gain: float
 
 
+_SENSES = {1.0: "raising", -1.0: "lowering"}
 MARGINS = Margins(math.radians(50.0), 3.0)
 _FREQUENCIES = [10.0 ** (0.005 * k - 1.0) for k in range(801)]  # rad/s, 0.1 to 1000
 
@@ -122,7 +123,7 @@ def joint_findings(recording: JointRecording, compensated: bool) -> JointFinding
     """
     _with_pressures(recording)
     strokes = strokes_in(recording, compensated)
-    raising, lowering = edge_findings(strokes, 1.0), edge_findings(strokes, -1.0)
+    raising, lowering = (_of_sense(recording.joint, strokes, sense) for sense in _SENSES)
     angle = recording.q[:, recording.joint]
     opened = [
         max((s.u.max() for s in strokes if s.sense == sense), default=0.0) - edge.deadband.value
@@ -137,9 +138,18 @@ def joint_findings(recording: JointRecording, compensated: bool) -> JointFinding
         float(np.abs(angle - angle[0]).max()),
         (float(opened[0]), float(opened[1])),
     )
-    for name, edge in (("raising", raising), ("lowering", lowering)):
-        _judge(f"{JOINT_NAMES[recording.joint]} {name}", edge)
+    for sense, edge in zip(_SENSES, (raising, lowering), strict=True):
+        _judge(f"{JOINT_NAMES[recording.joint]} {_SENSES[sense]}", edge)
     return _with_play(found, recording)
+
+
+def _of_sense(joint: int, strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings:
+    """``edge_findings``, whose refusal names the joint and its sense."""
+    try:
+        return edge_findings(strokes, sense)
+    except MeasurementFailed as error:
+        where = f"{JOINT_NAMES[joint]} {_SENSES[sense]}"
+        raise MeasurementFailed(error.cause, f"{where}: {error}") from error
 
 
 def _with_pressures(recording: JointRecording) -> None:

@@ -10,7 +10,7 @@ from controller.core.scan_types import ScanEvent, initial_state
 from controller.core.servo.joint_control import opening_for
 from controller.core.servo.servo_step import full_spool_speeds
 from controller.core.settings import ScanSettings, settings_from
-from controller.core.valve_wear import empty_watch, in_words, watch_wear
+from controller.core.valve_wear import _reported, empty_watch, in_words, watch_wear
 from laboratory.experiments.positioning.corrected_run import settings_of
 from plant_emulator.core.faults.kinds import ValvesWorn
 from plant_emulator.core.plant import Plant
@@ -72,6 +72,17 @@ def test_a_worn_valve_is_named_once_with_its_joint_and_how_much_more_it_takes(se
         "tilt takes 1.31 times the spool that its commissioned valve says: "
         "the valve has worn, commission again"
     )
+
+
+def test_what_scatters_too_widely_to_be_sure_is_not_named(settings: ScanSettings) -> None:
+    """Ten windows, 0.3 of a deadband in the mean: alike they name the joint, from 0 to 0.6 they do not."""
+    said = {}
+    for apart in (0.0, 0.3):
+        watch = empty_watch()
+        watch.sums[:, TILT, 0] = (10.0, 3.0, 10.0 * (0.3**2 + apart**2), 1.3, 1.0)
+        said[apart] = _reported(settings, watch)[1]
+    assert [event.cause for event in said[0.0]] == ["TILT"]
+    assert said[0.3] == ()
 
 
 def test_an_arm_that_makes_no_motion_says_nothing_of_its_valves(settings: ScanSettings) -> None:

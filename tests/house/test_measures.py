@@ -12,10 +12,10 @@ ROOMS = measures.rooms(measures.ROOT)
 BUDGET = {
     "lines of conformance": 10_340,
     "lines of laboratory": 15_901,
-    "lines of product": 84_430,
+    "lines of product": 84_450,
     "modules": 680,
-    "lines of source": 111_550,
-    "lines of tests": 64_720,
+    "lines of source": 111_570,
+    "lines of tests": 64_740,
     "words of pages": 51_020,
     "words of the README": 700,
     "configuration keys": 654,

@@ -205,6 +205,6 @@ def test_a_recording_that_says_too_little_is_named(
     session: Path, spoilt: Callable[[JointRecording], JointRecording], cause: str
 ) -> None:
     recording = load_recording(session / "wrist3.npz")
-    with pytest.raises(MeasurementFailed) as raised:
+    with pytest.raises(MeasurementFailed, match="wrist3") as raised:
         joint_findings(spoilt(recording), compensated=False)
     assert raised.value.cause == cause

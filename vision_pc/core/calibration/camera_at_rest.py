@@ -54,8 +54,8 @@ def begun_at(X: Array, found: AtRest, agree_m: float) -> Array:
     """Where the camera (4, 4) was when its watch began, of which ``X`` (N, 4, 4) are the poses.
 
     The mean of the pictures ``found`` at rest. Where it has moved by more than ``agree_m`` until then, as
-    while a boom sinks through the play before its encoder, the first pictures and their trend tell it: the
-    goal of the drive was told there. Raises MeasurementFailed (``measurement.odometry_lost``) for none.
+    while a boom sinks through the play before its encoder, the first pictures and their trend say it: the
+    goal of the drive was set there. Raises MeasurementFailed (``measurement.odometry_lost``) for none.
     """
     if not len(X):
         raise MeasurementFailed(
