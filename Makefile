@@ -52,7 +52,7 @@ LABORATORY := $(addprefix tests/, \
 		$(addprefix shell/test_, api_schema.py genicam.py target_routes.py)))
 
 # A whole machine beside ROS for each file: one at a time, or two cores do not keep up.
-ROS := tests/longreach_ros2/bridge
+BRIDGE_TESTS := tests/longreach_ros2/bridge
 
 .PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
@@ -89,11 +89,11 @@ demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict aga
 	$(BIN)/longreach demo $(ARGS)
 
 test: $(DEV_STAMP)  ## the product's tests, four minutes of two cores (ARGS="-k kinematics")
-	@$(PYTEST) $(LABORATORY:%=--ignore=%) --ignore=$(ROS) $(ARGS)
+	@$(PYTEST) $(LABORATORY:%=--ignore=%) --ignore=$(BRIDGE_TESTS) $(ARGS)
 
 test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages
 	@$(PYTEST) $(LABORATORY) $(ARGS)
-	@$(BIN)/python -m pytest $(ROS) $(ARGS)
+	@$(BIN)/python -m pytest $(BRIDGE_TESTS) $(ARGS)
 
 other-machines: $(DEV_STAMP)  ## numerical tests as four other processors compute, and with inputs off by 1e-9 (ARGS="nehalem 3", "--today")
 	PROCESSES=$(PROCESSES) $(BIN)/python -m tests.support.other_machines $(ARGS)

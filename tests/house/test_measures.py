@@ -71,3 +71,11 @@ def test_every_test_that_is_marked_slow_says_why() -> None:
     assert any(marks.values())
     unsaid = [path for path, found in marks.items() for rest in found if not re.match(r"\([\"']\w+", rest)]
     assert unsaid == []
+
+
+def test_no_name_of_the_makefile_is_given_twice() -> None:
+    """The later one would win everywhere: `make clean` once named tests by the name of an environment."""
+    lines = (measures.ROOT / "Makefile").read_text().splitlines()
+    names = [match[1] for line in lines if (match := re.match(r"(\w+)\s*[:?]?=", line))]
+    assert names, "no assignment was found"
+    assert [name for name in names if names.count(name) > 1] == []
