@@ -26,7 +26,7 @@ MUTANTS = [
         ("stHeader.major <> 1", "FALSE", (112,)),
         ("stHeader.crc32 <> F_LR_DatagramCrc", "stHeader.crc32 = 0 * F_LR_DatagramCrc", (109, 110, 111)),
         ("(wFlags AND WORD#16#FF00) <> WORD#0", "FALSE", (116, 117, 118)),
-        ("stLink.nNow_ns - stLink.nRationed_ns < LR_RATION_NS", "FALSE", (112, 216, 223, 244, 245)),
+        ("stLink.nNow_ns < stLink.nRationed_ns + LR_RATION_NS", "FALSE", (112, 216, 223, 244, 245)),
         ("stLink.aNonces[i] = stHello.client_nonce", "FALSE", (208, 210, 255)),
         ("stHello.arm_hash <> LR_ARM_HASH", "FALSE", (206, 207, 230, 242)),
         ("(stLink.stOpen.nNumber <> 0) AND NOT xConnected", "FALSE", (211, 212, 213, 214, 215)),

@@ -8,7 +8,7 @@ import pytest
 from controller.core.settings import settings_from
 from controller_st.program import TextController
 from protocol.axes_group import Mode
-from protocol.faults import CommandCode, FaultCode
+from protocol.faults import CommandCode, FaultCode, Reason
 from protocol.pose import Pose
 from protocol.process_image import (
     STATUS_SENSOR_FAULT,
@@ -142,6 +142,18 @@ def test_both_find_the_same_fault_in_the_same_scan(pair: BothBenches, name: str)
             bench.both()
         bench.both(Command(3, code))
     assert bench.seen[-1][0] is Mode.STANDBY
+
+
+@pytest.mark.parametrize(("heard_ns", "lives"), [(40_000, True), (-500_000_000, True), (-501_000_000, False)])
+def test_a_datagram_read_after_the_scan_took_its_time_ends_no_session(
+    pair: BothBenches, heard_ns: int, lives: bool
+) -> None:
+    """A shell takes the time, then reads what has come: heard is later than now, by microseconds."""
+    bench, now_ns = pair.in_motion(0.0), 10**10
+    bench.link.stOpen.nNumber, bench.link.stOpen.nHeard_ns = 1, now_ns + heard_ns
+    bench.text.step(now_ns, now_ns, bench.settings.cycle_s, None)
+    assert (bench.text.session == 1) is lives
+    assert lives or bench.text.ended_by == Reason.LINK_TIMEOUT
 
 
 def test_at_rest_a_silent_link_disables_both_without_a_fault(pair: BothBenches) -> None:
