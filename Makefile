@@ -33,12 +33,12 @@ LABORATORY := $(addprefix tests/, \
 	bad_input browser packaging tools \
 	$(addprefix conformance/test_, c_controller.py mutants.py own_plant.py reference_suite.py runner.py first_hour.py) \
 	$(addprefix controller/test_, after_stop.py load_holding.py) \
-	$(addprefix controller_st/test_, suite.py mutants.py twin.py) \
+	$(addprefix controller_st/test_, faults.py suite.py mutants.py twin.py) \
 	dissector/test_tshark.py \
 	faults/test_vision.py \
 	foundation/test_compiled.py \
 	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
-		prometheus.py stop_behind_flood.py crashes.py containers.py rest_page.py) \
+		prometheus.py stop_behind_flood.py crashes.py compose.py containers.py rest_page.py) \
 	longreach/test_documented.py longreach/test_pages_run.py \
 	plant_emulator/shell/test_plant_process.py \
 	laboratory \
@@ -46,8 +46,9 @@ LABORATORY := $(addprefix tests/, \
 		fault_proxy hand_eye \
 		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
-		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) \
-		$(addprefix perception/test_, chance_markers.py stereo_fit.py) \
+		hand_eye/test_held_out.py \
+		$(addprefix odometry/test_, arm_motion.py bundle_adjustment.py odometry_worlds.py segments.py) \
+		$(addprefix perception/test_, chance_markers.py other_prints.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
 		$(addprefix shell/test_, api_schema.py genicam.py target_routes.py)))
 

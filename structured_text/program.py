@@ -8,7 +8,7 @@ import contextlib
 import ctypes
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,11 +60,6 @@ class CompiledProgram:
         self._fault = ctypes.c_uint64.from_address(address + parts[FAULT.upper()].offset)
         self._budget = ctypes.c_int64.from_address(address + parts[BUDGET.upper()].offset)
         self._entries: dict[str, Any] = {}
-
-    @classmethod
-    def of_files(cls, paths: Iterable[Path]) -> "CompiledProgram":
-        """The program of these files. Raises StructuredTextError, and OSError for what cannot be read."""
-        return cls({path.name: path.read_text(encoding="utf-8") for path in paths})
 
     def new(self, name: str) -> MemoryView:
         """Memory for a value of the type ``name``, with initial values. Raises StructuredTextError."""

@@ -5,15 +5,15 @@ those of a Dask cluster that is already there, whose workers have Longreach inst
 all the runs are made in this process, one after the other.
 """
 
-import ast
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from foundation.compiled import imported_names
 from foundation.configuration import layers
 from laboratory.campaigns.rows import Row, RowFile
 from laboratory.campaigns.workforce import AGAIN, Run, Task, results
@@ -79,18 +79,8 @@ def imported_sources(module: str, roots: Mapping[str, Path]) -> dict[str, Path]:
         if path is None:
             continue
         found[name] = path
-        waiting += [name.rpartition(".")[0], *_imports(ast.parse(path.read_bytes()))]
+        waiting += [name.rpartition(".")[0], *imported_names(path, name)]
     return found
-
-
-def _imports(tree: ast.AST) -> Iterator[str]:
-    """Every name that may be an imported module."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def _file_of(name: str, roots: Mapping[str, Path]) -> Path | None:

@@ -1,7 +1,5 @@
 """Real processes for the integration tests, on free ports."""
 
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,9 +11,8 @@ import httpx
 from testbed.realtime.launch import Launch, prepare
 from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.scenarios.scenario import chosen_overrides
-from tests.support.paths import CONFIGS, ROOT
+from tests.support.paths import CONFIGS
 
-START_S = 60.0
 HEALTHY_S = 120.0
 
 
@@ -61,15 +58,3 @@ def until_healthy(rig: Running) -> None:
     while rig.face.get("/health").status_code != httpx.codes.OK:
         assert time.monotonic() < until_s, rig.face.get("/health").text
         time.sleep(0.5)
-
-
-def run_service(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A service or command that is expected to end by itself."""
-    return subprocess.run(
-        [sys.executable, "-m", module, *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=START_S,
-        check=False,
-    )

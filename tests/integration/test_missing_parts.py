@@ -10,7 +10,8 @@ import httpx
 import pytest
 
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
-from tests.integration.services import ROOT, running
+from tests.integration.services import running
+from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.realtime
 

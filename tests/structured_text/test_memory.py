@@ -47,7 +47,7 @@ END_PROGRAM
 
 
 def test_every_declared_type_lies_as_ctypes_lays_it_out() -> None:
-    program = CompiledProgram.of_files([FOLDER / "types_twincat_codesys.st"])
+    program = CompiledProgram({"types.st": (FOLDER / "types_twincat_codesys.st").read_text()})
     assert sum(check_offsets(of) for of in program.types.values()) > 100
 
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.signal import lfilter, savgol_filter
 
 from vision_pc.core.se3 import Array
 
@@ -80,6 +79,8 @@ def evenly(stamps: Array) -> Array:
 
 def motion_at(seen: JointSeen, times: Array) -> JointMotion:
     """The encoders of ``seen`` at ``times`` (m,) s."""
+    from scipy.signal import savgol_filter  # half a second of every start, were it imported above
+
     step = float(np.median(np.diff(seen.t)))
     fine_t = np.arange(seen.t[0], seen.t[-1] + step, step)
     window, wide = (
@@ -175,6 +176,8 @@ def _swing_response(swing: Swing, motion: JointMotion, t: Array) -> Array:
 
     The filter is −s²/(s² + 2ζωs + ω²) with s = c (1 − z⁻¹)/(1 + z⁻¹), c two over a step.
     """
+    from scipy.signal import lfilter
+
     step = float(motion.fine_t[1] - motion.fine_t[0])
     every = max(round(_FINE_S / step), 1)
     first = max(int(np.searchsorted(motion.fine_t, t[0])) - 1, 0)
