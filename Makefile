@@ -30,10 +30,9 @@ BROWSERS := chromium chromium-browser google-chrome
 
 # What `make test` leaves to `make test-all`: campaigns, mutants, and what needs programs of others.
 LABORATORY := $(addprefix tests/, \
-	bad_input browser packaging tools \
+	bad_input browser controller_st longreach_ros2 packaging tools \
 	$(addprefix conformance/test_, c_controller.py mutants.py own_plant.py reference_suite.py runner.py first_hour.py) \
 	$(addprefix controller/test_, after_stop.py load_holding.py) \
-	$(addprefix controller_st/test_, faults.py suite.py mutants.py twin.py) \
 	dissector/test_tshark.py \
 	faults/test_vision.py \
 	foundation/test_compiled.py \
@@ -46,7 +45,7 @@ LABORATORY := $(addprefix tests/, \
 		fault_proxy hand_eye \
 		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
-		hand_eye/test_held_out.py \
+		$(addprefix hand_eye/test_, cabinet.py held_out.py robust.py) \
 		$(addprefix odometry/test_, arm_motion.py bundle_adjustment.py odometry_worlds.py segments.py) \
 		$(addprefix perception/test_, chance_markers.py other_prints.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
@@ -90,10 +89,10 @@ demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict aga
 	$(BIN)/longreach demo $(ARGS)
 
 test: $(DEV_STAMP)  ## the product's tests, four minutes of two cores (ARGS="-k kinematics")
-	@$(PYTEST) $(LABORATORY:%=--ignore=%) --ignore=$(BRIDGE_TESTS) $(ARGS)
+	@$(PYTEST) $(LABORATORY:%=--ignore=%) $(ARGS)
 
 test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages
-	@$(PYTEST) $(LABORATORY) $(ARGS)
+	@$(PYTEST) $(LABORATORY) --ignore=$(BRIDGE_TESTS) $(ARGS)
 	@$(BIN)/python -m pytest $(BRIDGE_TESTS) $(ARGS)
 
 other-machines: $(DEV_STAMP)  ## numerical tests as four other processors compute, and with inputs off by 1e-9 (ARGS="nehalem 3", "--today")
