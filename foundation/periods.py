@@ -61,7 +61,7 @@ def _take_short_slice() -> bool:
 def take_policy(policy: Policy) -> str:
     """Ask for an ordinary class for the calling thread; return ``policy`` where granted, else ``normal``.
 
-    It needs no privilege: ``idle`` and ``batch`` stand behind everything else on the machine.
+    It needs no privilege. ``batch`` interrupts nobody when it wakes; ``idle`` has what all others leave.
     """
     try:
         os.sched_setscheduler(0, _POLICIES[policy], os.sched_param(0))

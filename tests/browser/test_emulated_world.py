@@ -24,10 +24,7 @@ pytestmark = [
 ]
 WITHIN_MS = 180_000.0  # a world that begins anew, on a machine that may be busy
 UP = ("up", "--free-ports", "--allow-faults", "--show-truth", "--scenario", "drill_face", "--seed", "7")
-SETTINGS = (  # for a machine that is busy: else it has no pictures at all, and loses the link now and then
-    *("--set", "plant_service.renderer_scheduling=normal"),
-    *("--set", "controller.reference_link.link_timeout_ms=5000"),
-)
+SETTINGS = ("--set", "controller.reference_link.link_timeout_ms=5000")  # for a machine that is busy
 
 
 @contextlib.contextmanager

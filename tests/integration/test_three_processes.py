@@ -23,7 +23,6 @@ HELD_M = 0.002  # what servo and leakage move the tool in the seconds of a test
 # On one core beside others' work pictures are drawn too, and a late one is no lost camera.
 SLOW = (
     "controller.reference_link.link_timeout_ms=20000",
-    "plant_service.renderer_scheduling=normal",
     "plant.watchdog_ms=1000",
     "scene.camera.rate_hz=2",
     "vision.camera.stale_ms=10000",

@@ -31,9 +31,6 @@ ANY_PORTS = (
     "plant_service.camera_stream.port=0",
     "plant_service.fault_face.port=0",
 )
-PATIENT = (
-    "plant_service.renderer_scheduling=normal",
-)  # the lowest priority may wait for ever on a busy machine
 READY_S = 60.0
 
 
@@ -48,7 +45,7 @@ def command(*arguments: str, settings: tuple[str, ...] = ANY_PORTS) -> list[str]
 def running(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     """A plant that serves, and its ready line; ended at the latest when the block ends."""
     process = subprocess.Popen(
-        command(*arguments, settings=(*ANY_PORTS, *PATIENT)),
+        command(*arguments),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
