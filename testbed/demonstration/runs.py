@@ -73,7 +73,7 @@ def run_demo(
 ) -> bool:
     """Whether the true error ended inside the limit; prints the table and writes the report.
 
-    A run that stopped on a machine that did not keep up is begun once more, if nothing was to be broken: what
+    A run that stopped on a machine that did not keep up is repeated once, if nothing was to be broken: what
     stopped it was the machine. ``hold``: leave everything running at the end, until Ctrl-C. Raises
     LongreachError when the services cannot be started.
     """

@@ -1,4 +1,4 @@
-"""A demonstration that the machine stopped is begun once more, and never a second time."""
+"""A demonstration that the machine stopped is repeated once."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ CHOICE = Choice("standard", 1, 1)
 
 
 @pytest.mark.parametrize(
-    ("failure", "overload", "choice", "hold", "begun"),
+    ("failure", "overload", "choice", "hold", "runs_made"),
     [
         (STOPPED, SLOW, CHOICE, False, 2),
         (STOPPED, "", CHOICE, False, 1),
@@ -25,9 +25,9 @@ CHOICE = Choice("standard", 1, 1)
     ],
     ids=["the machine", "the arm", "slow and whole", "watched", "broken on purpose"],
 )
-def test_what_the_machine_stopped_is_begun_once_more(
+def test_what_the_machine_stopped_is_repeated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, failure: Any, overload: str, choice: Choice,
-    hold: bool, begun: int,
+    hold: bool, runs_made: int,
 ) -> None:  # fmt: skip
     calls = []
 
@@ -38,4 +38,4 @@ def test_what_the_machine_stopped_is_begun_once_more(
     monkeypatch.setattr(runs, "_run", run)
     monkeypatch.setattr(runs, "end_on_sigterm", lambda: None)
     assert runs.run_demo(tmp_path, {}, choice, True, tmp_path, None, hold) is False
-    assert len(calls) == begun
+    assert len(calls) == runs_made
