@@ -24,7 +24,6 @@ from controller.core.scan_types import (
 from controller.core.servo.joint_control import JointFilters, Pressures, unmoved
 from controller.core.servo.servo_step import (
     FURTHEST,
-    LEFT,
     LOAD,
     PILOT,
     PT1,
@@ -41,7 +40,7 @@ from controller.core.servo.servo_step import (
     tool_state,
 )
 from controller.core.settings import ScanSettings
-from controller.core.standing import parking_before, rests_settled, standing_after, stands_now
+from controller.core.standing import parking_before, standing_after, stands_now
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode
@@ -187,7 +186,7 @@ def _drive_valves(
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
         return _centre_valves(settings, state)
-    inside = state.motion.path is None and (settled or rests_settled(settings, state, out[LEFT]))
+    inside = state.motion.path is None and settled
     return state._replace(
         servo=ServoOutput(out[Q_CMD], out[QD_CMD], out[VALVES], desired.v),
         filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST], out[PILOT]),

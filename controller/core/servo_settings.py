@@ -8,7 +8,7 @@ from controller.core.parking.joint import ParkingLaw
 from controller.core.servo.joint_control import JointGains, LoadHolding
 from controller.core.servo.servo_step import RATIO, ServoConstants, ServoGains, drive_table, rated_circuit
 from nominal_arm.commissioned import CURVE_KNOTS, ValveSet
-from nominal_arm.description import JOINT_NAMES, NominalArm
+from nominal_arm.description import NominalArm
 
 _MS = 1e-3
 _MRAD = 1e-3
@@ -126,18 +126,9 @@ def _parking_law(config: ControllerConfig) -> ParkingLaw:
         shutting=late + _RUNS_ON / gain,
         loaded=np.array(parking.loaded, dtype=float),
         oil_spring=np.where(exact, 0.0, parking.oil_mrad_bar) * _MRAD,
-        backlash=np.where(exact, 0.0, _whole_plays(config)),
         surely_open=surely_open(config.valves),
         dt_s=config.cycle_ms * _MS,
     )
-
-
-def _whole_plays(config: ControllerConfig) -> Array:
-    """How wide (6,) rad the play before each encoder was found to be, to and fro; 0 where nobody looked."""
-    if config.commissioned is None:
-        return np.zeros(6)
-    halves = [getattr(config.commissioned.play_mrad, name) for name in JOINT_NAMES]
-    return np.array([0.0 if half is None else 2.0 * half.value * _MRAD for half in halves])
 
 
 def _edges(valves: ValveSet, name: str) -> Array:

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from controller.core.kinematics.rotations import Array, norm
+from controller.core.kinematics.rotations import norm
 from controller.core.parking.joint import Joints, ParkingLaw, joints_in_motion, offsets_from_place
 from controller.core.parking.rest import (
-    all_within,
     arm_parked,
     arm_rested,
     is_parked,
@@ -58,13 +57,6 @@ def standing_after(
 def _law(settings: ScanSettings) -> ParkingLaw:
     assert settings.parking is not None
     return settings.parking
-
-
-def rests_settled(settings: ScanSettings, state: ScanState, errors: Array) -> bool:
-    """Whether an arm that rests, ``errors`` (6,) rad off, stays so: in the tolerance, or by its backlash."""
-    if settings.parking is None or not state.standing.rests:
-        return False
-    return all_within(settings.parking, state.parking, errors, settings.servo.tolerance)
 
 
 def _at_rest(

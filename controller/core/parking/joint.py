@@ -61,17 +61,11 @@ _OIL = _record(
     [
         ("error", "f8"),  # error less what the oil is compressed by: it changes by what flows alone
         ("start", "f8"),  # that, when the valve opened
-        ("end", "f8"),  # that, when the joint had been shut
         ("rate", "f8"),  # of the oil through an open valve, of the error of a shut joint (rad/s)
-        ("travel", "f8"),  # that the last jog was for; 0 before the first
-        ("share", "f8"),  # how many times as much oil it had
-        ("opened", "f8"),  # for how long its valve was open; 0 once that has been learned from
-        ("relaxed", "f8"),  # compression (rad) once friction has let go of the joint
-        ("relaxed_at", "f8"),  # encoder where that was seen last
+        ("travel", "f8"),  # that the last jog was for
     ]
 )
 _VALVE = _record([("edge", "f8", (2,)), ("doubt", "f8", (2,))])  # where it opens, raising and lowering
-_SIDE = _record([("sense", "f8"), ("furthest", "f8"), ("angle", "f8")])  # of the last turn of the encoder
 JOINT = _record(
     [
         ("phase", "i8"),
@@ -87,7 +81,6 @@ JOINT = _record(
         ("pulse", _PULSE),
         ("oil", _OIL),
         ("valve", _VALVE),
-        ("side", _SIDE),
     ],
 )
 Joint = Any  # one record of an array of JOINT
@@ -108,8 +101,7 @@ class ParkingLaw(NamedTuple):
     from a command until motion is seen; ``shutting`` (s): how long a joint moves on when its valve is told
     to shut. ``loaded``: 1 where gravity makes a joint creep, 0 where it only relaxes. ``oil_spring``
     (rad/bar): how far a joint moves with its valve shut as the load falls; 0: jogs are not metered.
-    ``backlash`` (rad): how far beyond its place a joint is left that would have to cross its backlash to come
-    back; 0: not known. ``surely_open``: spool beyond which a valve is open. ``dt_s``: of a scan.
+    ``surely_open``: spool beyond which a valve is open. ``dt_s``: of a scan.
     """
 
     band: float
@@ -129,7 +121,6 @@ class ParkingLaw(NamedTuple):
     shutting: Array
     loaded: Array
     oil_spring: Array
-    backlash: Array
     surely_open: Array
     dt_s: float
 
@@ -141,7 +132,6 @@ def joints_at_start(law: ParkingLaw | None) -> Joints:
         early = np.where(law.oil_spring[:, None] > 0.0, _EARLY * law.deadband, 0.0)
         joints["valve"]["edge"] = law.deadband
         joints["valve"]["doubt"] = np.maximum(law.spread, early)
-        joints["oil"]["share"] = 1.0
     return joints
 
 
@@ -154,14 +144,12 @@ def joints_in_motion(joints: Joints) -> Joints:
     for part, names in _FORGOTTEN.items():
         for name in names:
             moving[part][name] = 0.0
-    moving["oil"]["share"] = 1.0
     return moving
 
 
 _FORGOTTEN = {
     "watch": ("inside", "away", "quiet", "calm"),
     "pulse": ("error", "since"),
-    "oil": ("travel", "opened"),
 }
 """Part → what of it a motion makes untrue."""
 

@@ -14,21 +14,8 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.parking.jogs import jog_spool, pulse_spool, shut_valve, start_jog, start_pulse
 from controller.core.parking.joint import FOLLOW, MOVES, PULSE, SHUT, Joint, Joints, ParkingLaw
-from controller.core.parking.metering import (
-    decompression_spool,
-    learn_from_metered,
-    metered_spool,
-    start_metered,
-)
-from controller.core.parking.rest import (
-    ARRIVED_RAD,
-    allowed_offset,
-    follow_backlash_sides,
-    judge_rest,
-    overshot,
-    turn_towards,
-    watch_creep,
-)
+from controller.core.parking.metering import metered_spool, start_metered
+from controller.core.parking.rest import ARRIVED_RAD, judge_rest, watch_creep
 from controller.core.servo.servo_step import (
     LEFT,
     PT1,
@@ -65,16 +52,14 @@ def control_step(
     out: Array,
     joints: Joints,
 ) -> tuple[bool, bool]:
-    """``servo_step``, and while the arm ``stands`` ``park_step``; backlash sides are followed in both.
+    """``servo_step``, and while the arm ``stands`` ``park_step``.
 
     One kernel, because telling the types of ``given`` takes longer than the arithmetic. After commands that
     are not finite ``joints`` (6,) of JOINT are as they were.
     """
     finite, inside = servo_step(constants, given, law.dt_s, out)
-    if finite:
-        follow_backlash_sides(joints, given.q_meas, law.dt_s)
-        if stands:
-            park_step(constants, law, given, turned, out, joints)
+    if finite and stands:
+        park_step(constants, law, given, turned, out, joints)
     return finite, inside
 
 
@@ -129,21 +114,14 @@ def phase_spool(law: ParkingLaw, joints: Joints, i: int, error: float, load: flo
 
 @kernel
 def _has_arrived(law: ParkingLaw, joint: Joint, i: int, error: float, load: float) -> bool:
-    """Whether the joint law is done with joint ``i``, which then is shut.
-
-    Or must not go on: a joint that overshot would be taken back through its backlash, on to its other side.
-    """
+    """Whether the joint law is done with joint ``i``, which then is shut."""
     watch, oil = joint.watch, joint.oil
     watch.inside = watch.inside + law.dt_s if abs(error) < joint.band else 0.0
-    waits = watch.inside < 2.0 * law.shutting[i] and joint.since < law.patience
-    if waits and not overshot(law, joint, i, error):
+    if watch.inside < 2.0 * law.shutting[i] and joint.since < law.patience:
         return False
     shut_valve(joint, error)
     joint.creep, watch.away, watch.error = 0.0, 0.0, error
     oil.error, watch.load = error - law.oil_spring[i] * load, load
-    # one that has stood since the start is relaxed; those of loaded joints are learned at rest
-    if joint.side.sense == 0.0 and law.loaded[i] == 0.0:
-        oil.relaxed = law.oil_spring[i] * load
     return True
 
 
@@ -157,20 +135,14 @@ def _shut_spool(law: ParkingLaw, joints: Joints, i: int, error: float, load: flo
     joint.error = keep * before + (1.0 - keep) * error
     oil.error = keep * oil.error + (1.0 - keep) * (error - law.oil_spring[i] * load)
     if joint.since < pause:
-        jog.end, oil.end, oil.rate = joint.error, oil.error, 0.0
+        jog.end, oil.rate = joint.error, 0.0
         return 0.0
-    if metered and oil.opened > 0.0:
-        learn_from_metered(law, joint, i, gains)
     oil.rate += ((joint.error - before) / law.dt_s - oil.rate) * law.dt_s / _RATE_FILTER_S
     watched = joint.since - pause
     rate = (joint.error - jog.end) / max(watched, 1e-3)
     off = joint.error - joint.place
     if metered and joint.rest == MOVES:
         off += oil.rate * _RELAXES_S
-    if metered and law.backlash[i] > 0.0:
-        spool = decompression_spool(law, joint, i, load)
-        if joint.phase != SHUT:
-            return float(spool)
     pulsing = (joints["phase"] == PULSE).any()
     if not needs_move(law, joint, i, (off, rate, watched), pulsing):
         return 0.0
@@ -192,7 +164,6 @@ def next_move(law: ParkingLaw, joint: Joint, i: int, seen: tuple[float, float, f
         return float(start_pulse(law, joint, i, joint.watch.error, sense, load))
     if law.oil_spring[i] > 0.0:
         relaxes = law.loaded[i] == 0.0 and abs(off) < 2.0 * law.settled
-        turn_towards(joint, sense)
         return float(start_metered(joint, _PART * off if relaxes else off))
     trust = watched / (watched + _RATE_S)
     drift = trust * rate + (1.0 - trust) * joint.creep
@@ -226,7 +197,7 @@ def needs_move(
         least = joint.band if law.loaded[i] > 0.0 else max(law.settled, joint.band)
         # how far one goes on that leaves its place is told by waiting: a jog for a guess makes it hunt
         waits = _RELAXES_S if off * joint.oil.rate > 0.0 else _RATE_FILTER_S
-        return bool(watched > waits and abs(off) > allowed_offset(law, joint, i, off, least))
+        return bool(watched > waits and abs(off) > least)
     if joint.rest == MOVES:
         return bool(max(abs(off + rate * min(watched, law.latest[i])), abs(off)) > joint.band)
     sense, watch, pulse = 1.0 if off > 0.0 else -1.0, joint.watch, joint.pulse

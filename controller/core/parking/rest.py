@@ -24,59 +24,6 @@ from controller.core.parking.joint import (
 )
 from foundation.compiled import kernel
 
-_FILTER_S = 0.05  # [D] of the encoder: a third of its noise
-_TURNED_RAD = 9.6e-5  # [D] two digits: a joint that came back by less may not have
-
-
-@kernel
-def follow_backlash_sides(joints: Joints, q_meas: Array, dt_s: float) -> None:
-    """Follow the sense in which each encoder, at ``q_meas`` (6,), went last; in motion, too."""
-    keep = math.exp(-dt_s / _FILTER_S)
-    for i in range(6):
-        side = joints[i].side
-        if side.angle == 0.0 and side.furthest == 0.0:  # the first scan
-            side.angle = side.furthest = q_meas[i]
-        side.angle = keep * side.angle + (1.0 - keep) * q_meas[i]
-        beyond = side.angle - side.furthest
-        if side.sense * beyond > 0.0:
-            side.furthest = side.angle
-        elif abs(beyond) > _TURNED_RAD:
-            turn_towards(joints[i], 1.0 if beyond > 0.0 else -1.0)
-
-
-@kernel
-def turn_towards(joint: Joint, sense: float) -> None:
-    """The joint is on its way to the side of a turn in ``sense``, ±1."""
-    joint.side.sense, joint.side.furthest = sense, joint.side.angle
-
-
-@kernel
-def allowed_offset(law: ParkingLaw, joint: Joint, i: int, off: float, least: float) -> float:
-    """How far off (rad) joint ``i``, which is ``off`` (rad), may stay: by ``least``, and its backlash.
-
-    A loaded one only where it was raised too far, and never so far that the arm would not be settled: it
-    sinks by itself, and being raised brings it to the same side each time.
-    """
-    if off * joint.side.sense >= 0.0 or (law.loaded[i] > 0.0 and off > 0.0):
-        return least
-    most = least + law.backlash[i]
-    return float(most if law.loaded[i] == 0.0 else min(most, max(least, law.settled)))
-
-
-@kernel
-def overshot(law: ParkingLaw, joint: Joint, i: int, off: float) -> bool:
-    """Whether joint ``i``, ``off`` (rad), passed its end by less than what it is left at for its backlash."""
-    passed = law.loaded[i] == 0.0 and law.backlash[i] > 0.0 and off * joint.side.sense < 0.0
-    return bool(passed and abs(off) <= allowed_offset(law, joint, i, off, law.settled))
-
-
-def all_within(law: ParkingLaw, joints: Joints, off: Array, least: float) -> bool:
-    """Whether all joints, ``off`` (6,) rad, may stay: within ``least``, and the slew within its backlash."""
-    passed = (off * joints["side"]["sense"] < 0.0) & (law.loaded == 0.0)
-    most = np.where(passed, least + law.backlash, least)
-    return bool((np.abs(off) <= most).all())
-
-
 ARRIVED_RAD = 9.6e-5  # [D] two digits: until the arm is parked, no joint is brought nearer
 _PUSHED_RAD = 9.6e-5  # [D] two digits: a resting joint that others have pushed so far is judged anew
 _CREEP_FILTER_S = 3.0  # [D] of the slow creep of a parked joint: good for a microradian
@@ -112,7 +59,7 @@ def judge_rest(law: ParkingLaw, joint: Joint, i: int, lever: float) -> None:
     if phase != SHUT or joint.rest == ARM_RESTS:
         return
     off, error = abs(joint.error - joint.place), joint.error
-    outside = abs(error) > allowed_offset(law, joint, i, error, law.settled)
+    outside = abs(error) > law.settled
     if joint.rest == JOINT_RESTS and (outside or off > _PUSHED_RAD):
         joint.rest, joint.place, watch.calm = MOVES, 0.0, 0.0
     elif joint.rest == MOVES and watch.calm > law.calm and not outside:
@@ -128,7 +75,7 @@ def unsettled_joints(joints: Joints) -> Array:
 def may_stop_here(law: ParkingLaw, joints: Joints) -> bool:
     """Whether no joint is on its way, and all are near enough: an arm whose time is over may stay so."""
     moves = np.isin(joints["phase"], (FOLLOW, JOG, PULSE))
-    return bool(not moves.any() and all_within(law, joints, joints["error"], law.settled))
+    return bool(not moves.any() and (np.abs(joints["error"]) <= law.settled).all())
 
 
 def arm_rested(joints: Joints) -> Joints:

@@ -38,7 +38,6 @@ def poor_law(deadband: float, spread: float) -> ParkingLaw:
         shutting=(late + 0.03) * ONES,
         loaded=ONES,
         oil_spring=0.0 * ONES,
-        backlash=0.0 * ONES,
         surely_open=np.full((6, 2), 2.0 * deadband),
         dt_s=DT_S,
     )

@@ -9,7 +9,6 @@ import pytest
 
 from controller.config import ControllerConfig
 from controller.core.parking.joint import SHUT, ParkingLaw, joints_at_start
-from controller.core.parking.metering import start_metered
 from controller.core.parking.parking import phase_spool
 from controller.core.parking.rest import watch_creep
 from controller.core.servo_settings import parking_law
@@ -101,7 +100,7 @@ def test_a_joint_comes_to_rest_in_a_few_inches(error: float, edge: float, oil: f
     """Also where the oil, or the valve's edge, is not what is known of it."""
     way = _way(METERED, Held(error, edge, oil=oil * OIL_RAD_BAR))
     last = round(10.0 / DT_S)
-    assert np.abs(way.errors[-last:]).max() < 2.0 * BAND_RAD
+    assert np.abs(way.errors[-last:]).max() < METERED.settled
     assert not way.spools[-last:].any()
     assert way.openings <= 8
     assert (way.errors * np.sign(error)).min() > -0.5 * abs(error) - 2.0 * BAND_RAD
@@ -123,20 +122,10 @@ def test_what_compressed_oil_will_move_is_waited_for() -> None:
     assert way.errors.min() > -2.0 * BAND_RAD
 
 
-def test_a_joint_that_sticks_gets_more_oil_each_time() -> None:
+def test_a_joint_that_sticks_is_freed_by_the_oil_that_adds_up() -> None:
     stuck = _way(METERED, Held(6e-4, sticks=3e-3), 60.0)
     assert abs(stuck.errors[-1]) < 3.0 * BAND_RAD
-    assert stuck.openings <= 8
-    state = joints_at_start(METERED)
-    gives = []
-    for moved in (0.0, 0.0, 0.9, 0.0):
-        start_metered(state[0], 1e-3)
-        gives.append(float(state["oil"]["share"][0]))
-        state["jog"]["start"][0], state["error"][0] = 1e-3, 1e-3 * (1.0 - moved)
-    assert gives == [1.0, 2.0, 4.0, 2.0]
-    start_metered(state[0], -1e-3)  # it went too far: what stuck does no more
-    assert state["oil"]["share"][0] == 1.0
-    assert state["jog"]["sense"][0] == -1.0
+    assert stuck.openings <= 10
 
 
 def test_a_valve_without_hysteresis_is_not_metered_nor_parked_by_itself() -> None:

@@ -25,7 +25,7 @@ LAW = ParkingLaw(
     calm_travel=WAY_M, calm=CALM_S, settled=LEAVES_RAD, give_up=30.0, quiet=1e-4,
     deadband=np.full((6, 2), 0.08), spread=np.full((6, 2), 0.004), latest=0.3 * ONES, shutting=0.2 * ONES,
     loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]),
-    oil_spring=3e-4 * ONES, backlash=0.0 * ONES,
+    oil_spring=3e-4 * ONES,
     surely_open=np.full((6, 2), 0.16), dt_s=DT_S,
 )  # fmt: skip
 
