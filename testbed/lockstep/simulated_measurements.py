@@ -231,7 +231,7 @@ class SimulatedSensor:
     def observe(self, frame: SimulatedFrame, previous: FrameObservation | None) -> FrameObservation:
         """What vision makes of the corners that this frame would show."""
         settings = self._config.markers
-        priors = priors_after(previous, settings, frame.capture_ns)
+        priors = priors_after(previous, settings)
         camera = as_found(self.camera, previous)
         sightings, unfit = [], dict[int, str]()
         for number, seen in sorted(self._view.markers(frame.shown).items()):

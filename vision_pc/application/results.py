@@ -241,10 +241,7 @@ def positioning_json(result: PositioningResult | CorrectedResult) -> JSON:
     before moving and what odometry had ``seen`` before the last look.
     """
     if isinstance(result, CorrectedResult):
-        late = result.delay
-        delay = None if late is None else {"late": 1e3 * late.late_s, "std": 1e3 * late.std_s}
         return positioning_json(result.positioning) | {
-            "camera_delay_ms": delay,
             "measured_miss_mm": xyz(result.measured_residual_m),
             "expected": expected_json(result.expected),
             "seen": expected_json(result.seen),

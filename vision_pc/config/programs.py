@@ -127,45 +127,27 @@ class TrajectorySettings(StrictModel):
 class TakeUpSettings(StrictModel):
     """Short turns of slew, lift and tilt that end every motion on the same side of their backlash.
 
-    ``slew_rad`` within ``duration_s``, ``boom_rad`` of lift and tilt. A joint whose commanded and measured
-    angles were seen farther apart than ``gap_rad`` at rest turns back by ``bands`` times that, ``most_rad``
-    at most. A residual beyond ``residual_rad`` is waited for or driven again, at most ``repeats`` times.
+    ``slew_rad`` within ``duration_s``, ``boom_rad`` of lift and tilt. A residual beyond ``residual_rad`` is
+    more than the servo leaves of a joint.
     """
 
     slew_rad: float = Field(ge=0.0, le=0.02)
     boom_rad: float = Field(ge=0.0, le=0.02)
     duration_s: Seconds
-    gap_rad: float = Field(ge=0.0, le=0.1)
-    bands: float = Field(ge=1.0, le=10.0)
-    most_rad: float = Field(gt=0.0, le=0.1)
     residual_rad: float = Field(gt=0.0, le=0.01)
-    repeats: int = Field(ge=0, le=10)
-
-
-class AtRestSettings(StrictModel):
-    """Pictures at rest, averaged at both ends of a watched drive.
-
-    ``pictures``: how many; 1: the first one begins the drive as it is. The means of their two halves agree
-    to ``agree_m``, or ``patience_s`` have passed; what they disagree by is then part of the spread told.
-    """
-
-    pictures: int = Field(ge=1, le=200)
-    agree_m: float = Field(gt=0.0, le=0.1)
-    patience_s: Seconds
 
 
 class LocalErrorModelSettings(StrictModel):
     """Three legs along n, s and a, a local error model, and corrections by odometry.
 
-    Priors of the model: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
-    (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad). The
-    encoder turning back by twice ``reversal_rad`` tells the other side of the backlash. ``noise_std_m`` of
-    one sample at rest, ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal known worse is
-    refused before moving. ``first_share`` of a way longer than ``near_m`` is driven before the first
-    correction. ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures.
-    ``servo_std_m``: what the joints leave of a motion, known as well as from ``servo_freedom`` motions;
-    ``band_std_m`` more where a joint does not answer in a band. ``leg_end_std_m``: what else than backlash
-    shaped each end of a leg, of a motion that nothing corrects.
+    Priors of the model: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``play_std``
+    (rad). The encoder turning back by twice ``reversal_rad`` tells the other side of the backlash.
+    ``noise_std_m`` of one sample at rest, ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal
+    known worse is refused before moving. ``first_share`` of a way longer than ``near_m`` is driven before the
+    first correction. ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry
+    measures. ``servo_std_m``: what the joints leave of a motion, known as well as from ``servo_freedom``
+    motions. ``leg_end_std_m``: what else than backlash shaped each end of a leg, of a motion that nothing
+    corrects.
     """
 
     leg_m: float = Field(ge=0.05, le=0.5)
@@ -174,20 +156,16 @@ class LocalErrorModelSettings(StrictModel):
     rotation_std: float = Field(gt=0.0, le=1.0)
     scale_std: float = Field(gt=0.0, le=0.2)
     strain_std: float = Field(gt=0.0, le=0.2)
-    field_stds: tuple[Small, Small, Small, Small]
     play_std: Small
     take_up: TakeUpSettings
     reversal_rad: float = Field(gt=0.0, le=0.02)
     noise_std_m: float = Field(gt=0.0, le=0.05)
     sway_s: float = Field(ge=0.0, le=1.0)
-    delay_std_s: float = Field(ge=0.0, le=1.0)
     odometry_std_m: float = Field(ge=0.0, le=0.05)
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
     servo_std_m: float = Field(gt=0.0, le=0.05)
     servo_freedom: float = Field(gt=2.0, le=1000.0)
-    band_std_m: float = Field(ge=0.0, le=0.05)
     leg_end_std_m: float = Field(ge=0.0, le=0.05)
-    at_rest: AtRestSettings
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)

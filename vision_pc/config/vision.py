@@ -84,9 +84,8 @@ class CalibrationDoubts(StrictModel):
 class MarkerSettings(StrictModel):
     """Detection, refinement and what is taken for granted about noise and printing.
 
-    The right eye's offset: ``offset_std_px`` before markers were seen, ``offset_drift_px`` px a root minute
-    of random walk between frames, never known better than ``offset_floor_px``, nor, with ``shared_prints``,
-    than print sizes and focal length allow: frames of the same prints share their errors.
+    The right eye's offset: ``offset_std_px`` before markers were seen, never known better than
+    ``offset_floor_px``.
     ``finds_edge_shift``: a camera whose grey levels do not go with the light shows black smaller than it is;
     by how much is found of each marker's own cells.
     """
@@ -108,8 +107,6 @@ class MarkerSettings(StrictModel):
     print_size_std: float = Field(gt=0.0, le=0.05)
     offset_std_px: float = Field(gt=0.0, le=5.0)
     offset_floor_px: float = Field(gt=0.0, le=1.0)
-    offset_drift_px: float = Field(ge=0.0, le=5.0)
-    shared_prints: bool
     focal_std: float = Field(ge=0.0, le=0.05)
     radial_std: float = Field(ge=0.0, le=0.5)
     placement_std_m: float = Field(ge=0.0, le=0.05)

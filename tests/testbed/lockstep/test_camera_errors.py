@@ -85,21 +85,6 @@ def test_a_camera_as_calibrated_is_left_as_it_is() -> None:
     assert np.abs(errors.values[:2]).max() < 0.08
 
 
-def test_an_offset_that_walks_along_the_legs_is_no_baseline() -> None:
-    """A camera that warms: 0.25 px in three minutes passed for a baseline 1.2 % off and 0.84 px besides."""
-    one = stage(**OFF)
-    frames = legs(one)
-    walked = 0.25 * np.sin(np.linspace(0.0, 0.5 * np.pi, len(frames)))
-    warmed = [
-        frame._replace(capture_ns=10 * frame.capture_ns, shown=frame.shown._replace(drift_px=(px, 0.0)))
-        for frame, px in zip(frames, walked.tolist(), strict=True)
-    ]
-    errors = found(watched(one, warmed))
-    off = errors.values[[0, 2]] - [-1.5 - 0.25, 0.004]
-    assert (np.abs(off) < [0.25, 3.5e-3]).all(), off
-    assert (np.abs(off) < 3.0 * np.sqrt(np.diag(errors.covariance)[[0, 2]])).all(), off
-
-
 def way_by_odometry(one: Stage, previous: FrameObservation | None) -> Array:
     """How far odometry is off at the end of a way of 0.55 m towards the wall and aside."""
     odometry = one.sensor.odometry(previous)
@@ -124,19 +109,16 @@ def test_odometry_of_a_long_way_gains_what_was_found(
     assert off[0] < 0.3 * off[1], off
 
 
-def test_later_pictures_do_not_change_what_was_found_and_its_certainty_fades(
+def test_later_pictures_do_not_change_what_was_found(
     along_the_legs: tuple[Stage, Watcher[SimulatedFrame]],
 ) -> None:
     one, watcher = along_the_legs
     before = watcher.observation
     assert before is not None
-    assert before.offset is not None
     late = one.exposed(one.truth)._replace(capture_ns=before.capture_ns + 600_000_000_000)
     after = one.sensor.observe(late, before)
     assert after.errors is before.errors
-    assert after.offset is not None
-    assert after.offset[:2] == before.offset[:2]
-    assert after.offset.std_x_px > 2.0 * before.offset.std_x_px
+    assert after.offset == before.offset
 
 
 @pytest.mark.parametrize("why", ["too near together", "too few", "not asked for"])

@@ -2,9 +2,8 @@
 
 Three legs along the tool's own axes, ending where the look will be, show how the rigid arm model turns,
 stretches and bends space nearby, and how much backlash of the slew shifts it. A rotation alone, as in
-trajectory matching, cannot know that. The model is linear in its unknowns: a rotation, a scale, the fields of
-the arm's usual errors (``arm_fields``), the slew's backlash, and a small strain for all the rest, each with a
-prior. The fields carry on beyond the path, where a straight line misses by millimetres.
+trajectory matching, cannot know that. The model is linear in its unknowns: a rotation, a scale, the slew's
+backlash, and a small strain for all the rest, each with a prior.
 Source: docs/calibration.md, "Corrected positioning".
 """
 
@@ -15,18 +14,10 @@ import numpy as np
 from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings
-from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
-from vision_pc.core.calibration.camera_at_rest import at_rest, begun_at, tracked
+from vision_pc.core.calibration.boom_levers import boom_levers, slew_angles, slew_lever
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.calibration.object_motion import refuse_moving_object
-from vision_pc.core.calibration.take_up import (
-    TakeUp,
-    backlash_sides,
-    first_take_up,
-    move_with_take_up,
-    slew_angles,
-    slew_lever,
-)
+from vision_pc.core.calibration.take_up import backlash_sides, move_with_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
@@ -40,29 +31,26 @@ _ROTATION = slice(0, 3)
 _SCALE = 3
 _STRAIN = slice(4, 13)
 _OFFSET = slice(13, 16)
-_ARM_ERRORS = slice(16, 16 + len(FIELDS))
-_BACKLASH = _ARM_ERRORS.stop
-_COLUMNS = _BACKLASH + 1
+_BACKLASH = 16
+_COLUMNS = 17
 
 
 class LocalTrack(NamedTuple):
     """Camera and tool poses along a path: ``X_KC`` and ``X_BT``, each (N, 4, 4), in time order.
 
     K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
-    tool: a moving boom sways, which its encoders do not measure; ``velocity`` (N, 3) m/s in B.
+    tool: a moving boom sways, which its encoders do not measure.
     ``joint_residuals`` (P, 3) rad: servo residual of slew, lift and tilt at the end of each path so far,
-    positive beyond the reference; ``take_up``: how the last path ended. ``residuals`` (D, 3) m in B: how
-    far from their goal motions ended, by odometry. ``residual_motion`` m: how far the tool was seen to go
-    to and fro where it should have rested. ``contradiction`` m: how far the last look lay from where odometry
-    had the target, where both cannot be true; 0: they agreed.
+    positive beyond the reference. ``residuals`` (D, 3) m in B: how far from their goal motions ended, by
+    odometry. ``residual_motion`` m: how far the tool went to and fro by its encoders where it should have
+    rested. ``contradiction`` m: how far the last look lay from where odometry had the target, where both
+    cannot be true; 0: they agreed.
     """
 
     X_KC: Array
     X_BT: Array
     speed: Array
-    velocity: Array
     joint_residuals: Array
-    take_up: TakeUp
     residuals: Array
     residual_motion: float = 0.0
     contradiction: float = 0.0
@@ -74,19 +62,12 @@ class LocalTrack(NamedTuple):
         return X
 
 
-class CameraDelay(NamedTuple):
-    """How much later than exposed pictures are stamped, and its standard deviation, s."""
-
-    late_s: float
-    std_s: float
-
-
 class LocalErrorModel(NamedTuple):
     """The fitted model R d = x + Φ(x) θ about the present pose ``X_BT``, for an arm of ``dimensions``.
 
     ``R`` (3, 3) rotates the axes of K into B; ``theta`` (n,), ``covariance`` (n, n). ``residual_m``: rms of
     the fit; ``condition``: of the rotational information of the track. Holds for steps that end as the track
-    did, after a positive turn of the slew (backlash taken up). ``delay``: None where it is not asked for.
+    did, after a positive turn of the slew (backlash taken up).
     """
 
     R: Array
@@ -96,7 +77,6 @@ class LocalErrorModel(NamedTuple):
     residual_m: float
     condition: float
     dimensions: BoomDimensions
-    delay: CameraDelay | None = None
 
     @property
     def scale(self) -> float:
@@ -120,7 +100,7 @@ async def record_local_track(
     X_BT = (await arm.view()).X_BT
     report(0.05, f"three legs of {settings.leg_m:g} m")
     waypoints = three_legs(X_BT, settings.leg_m)
-    track = await watched_path(arm, eyes, waypoints, first_take_up(settings), dimensions, settings, True)
+    track = await watched_path(arm, eyes, waypoints, dimensions, settings, markers=True)
     refuse_poor_track(track, settings)
     report(1.0, f"{len(track.X_BT)} samples")
     return track
@@ -137,7 +117,6 @@ async def watched_path(
     arm: Arm,
     eyes: Eyes,
     waypoints: list[Array],
-    take_up: TakeUp,
     dimensions: BoomDimensions,
     settings: LocalErrorModelSettings,
     markers: bool = False,
@@ -147,26 +126,19 @@ async def watched_path(
     ``markers``: seen on the way, they tell whether the object moves (MeasurementFailed ``target.moves``).
     """
     async with eyes.watch(markers=markers, odometry=True) as watch:
-        begun = await at_rest(watch, settings.at_rest)
-        first = begun_at(tracked(watch.samples), begun, settings.at_rest.agree_m)
-        end = await move_with_take_up(arm, waypoints, take_up, dimensions, settings)
-        ended = await at_rest(watch, settings.at_rest, len(watch.samples))
+        end = await move_with_take_up(arm, waypoints, dimensions, settings)
     if markers:
         refuse_moving_object(watch.samples, 4.0 * settings.leg_m, settings)
-    track = track_of(watch.samples, first, max(AT_REST, settings.at_rest.pictures))
-    swings = (end.take_up.swing_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
-    return track._replace(
-        joint_residuals=end.residual[None], take_up=end.take_up, residual_motion=max(swings)
+    unrest = boom_levers(end.view.X_BT, dimensions) @ end.view.unrest[:3]
+    return track_of(watch.samples)._replace(
+        joint_residuals=end.residual[None], residual_motion=float(np.linalg.norm(unrest))
     )
 
 
-def track_of(
-    samples: tuple[WatchSample, ...], first: Array | None = None, ended: int = AT_REST
-) -> LocalTrack:
-    """The track of a watch, from the camera at ``first`` (4, 4; None: as its first picture has it) on.
+def track_of(samples: tuple[WatchSample, ...]) -> LocalTrack:
+    """The track of a watch; it ends with the mean of the pictures at rest.
 
-    It ends with the mean of the last ``ended``. Raises MeasurementFailed when odometry was lost at its end or
-    over a fifth.
+    Raises MeasurementFailed when odometry was lost at its end or over a fifth.
     """
     held = [s for s in samples if s.X_C0C is not None]
     if len(held) < 0.8 * len(samples) or len(held) < AT_REST or samples[-1].X_C0C is None:
@@ -175,15 +147,11 @@ def track_of(
         )
     X_C0C = np.array([s.X_C0C for s in held])
     X_BT = np.array([s.X_BT for s in held])
-    if first is not None:
-        X_C0C[0] = first
-    X_KC0 = inverse(settled_pose(X_C0C[-ended:]))
+    X_KC0 = inverse(settled_pose(X_C0C[-AT_REST:]))
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
     time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
-    speeds, velocity = _speeds(X_BT[:, :3, 3], time_s), _velocities(X_BT[:, :3, 3], time_s)
-    nothing = TakeUp(np.zeros(3), np.zeros(3), np.zeros(3))
-    return LocalTrack(X_KC, X_BT, speeds, velocity, np.zeros((1, 3)), nothing, np.zeros((0, 3)))
+    return LocalTrack(X_KC, X_BT, _speeds(X_BT[:, :3, 3], time_s), np.zeros((1, 3)), np.zeros((0, 3)))
 
 
 def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
@@ -193,9 +161,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([X_KnewK @ track.X_KC, further.X_KC]),
         np.concatenate([track.X_BT, further.X_BT]),
         np.concatenate([track.speed, further.speed]),
-        np.concatenate([track.velocity, further.velocity]),
         np.concatenate([track.joint_residuals, further.joint_residuals]),
-        further.take_up,
         np.concatenate([track.residuals, further.residuals]),
         further.residual_motion,
         track.contradiction,
@@ -228,14 +194,11 @@ def fit_error_model(
     p = track.X_BT[:, :3, 3]
     R = _kabsch(m, p)
     h = backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
-    columns = _columns(track.X_BT, h, track.X_BT_now, dimensions)
+    columns = _columns(track.X_BT, h, track.X_BT_now)
     Phi = columns.reshape(-1, columns.shape[2])
     target = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
-    prior = _prior(settings)
-    if settings.delay_std_s > 0.0:
-        Phi, prior = np.column_stack([Phi, -track.velocity.ravel()]), np.append(prior, settings.delay_std_s)
-    precision = np.diag(prior**-2.0)
+    precision = np.diag(_prior(settings) ** -2.0)
     weights = np.ones(len(p))
     for _ in range(_ROUNDS):  # reweighted: a glitch of odometry must not bend the map
         weighted = Phi * (np.repeat(weights, 3) / std**2)[:, None]
@@ -251,11 +214,7 @@ def fit_error_model(
         )
     information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
     condition = float(information[-1] / information[0])
-    delay = None
-    if settings.delay_std_s > 0.0:
-        delay = CameraDelay(float(theta[-1]), float(np.sqrt(covariance[-1, -1])))
-        theta, covariance = theta[:-1], covariance[:-1, :-1]
-    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions, delay)
+    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions)
 
 
 def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:
@@ -265,13 +224,13 @@ def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:
     x, columns = target, np.zeros((3, len(fitted.theta)))
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
-        columns = _columns(goal[None], _TAKEN_UP, here, fitted.dimensions)[0]
+        columns = _columns(goal[None], _TAKEN_UP, here)[0]
         columns[:, _OFFSET] = 0.0  # the offset is the error of the track's end alone
         x = target - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
 
 
-def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensions) -> Array:
+def _columns(X_BT: Array, play: Array, X_BT_now: Array) -> Array:
     """Φ (n, 3, K) at the poses (n, 4, 4); ``play`` (n,): the side of the backlash there, −1…1.
 
     At the present pose all columns are zero but the offset's.
@@ -283,8 +242,6 @@ def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensio
     Phi[:, :, _SCALE] = x
     Phi[:, :, _STRAIN] = np.einsum("ij,nk->nijk", np.eye(3), x).reshape(n, 3, 9)
     Phi[:, :, _OFFSET] = np.eye(3)
-    fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), dimensions)
-    Phi[:, :, _ARM_ERRORS] = fields[:-1] - fields[-1]
     levers = np.array([slew_lever(X) for X in X_BT])
     Phi[:, :, _BACKLASH] = levers * (play - _TAKEN_UP)[:, None]
     return Phi
@@ -294,7 +251,7 @@ def _prior(settings: LocalErrorModelSettings) -> Array:
     """Prior standard deviations (K,) of θ."""
     std = np.empty(_COLUMNS)
     std[_ROTATION], std[_SCALE], std[_STRAIN] = settings.rotation_std, settings.scale_std, settings.strain_std
-    std[_OFFSET], std[_ARM_ERRORS], std[_BACKLASH] = _OFFSET_STD_M, settings.field_stds, settings.play_std
+    std[_OFFSET], std[_BACKLASH] = _OFFSET_STD_M, settings.play_std
     return std
 
 
@@ -303,13 +260,6 @@ def _speeds(p: Array, time_s: Array) -> Array:
     between = np.linalg.norm(np.diff(p, axis=0), axis=1) / np.maximum(np.diff(time_s), 1e-6)
     speeds: Array = np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
     return speeds
-
-
-def _velocities(p: Array, time_s: Array) -> Array:
-    """Velocity (n, 3) m/s of points (n, 3), from the samples on both sides."""
-    if len(p) < 3:
-        return np.zeros_like(p)
-    return np.asarray(np.gradient(p, np.maximum.accumulate(time_s + 1e-6 * np.arange(len(p))), axis=0))
 
 
 def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:

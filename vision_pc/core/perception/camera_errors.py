@@ -3,13 +3,11 @@
 A look alone cannot tell an offset of the disparity from a baseline or a print that is off: at one distance
 they do the same. Along the legs the object comes nearer and wanders across the picture, and they part: an
 offset is the same at all distances, a baseline's error grows with the disparity, a lens's with the distance
-from the middle. What lenses and a turned eye do to rows shows in every point that odometry follows. As the
-camera warms, the offset walks in minutes by as much as tells a baseline: it is found where the legs end, and
-how it came there. All is found at once: Gauss-Newton on the corners in both eyes and on the rows, with a
-prior for every unknown; the bodies' poses, one for each picture, are eliminated (Schur complement).
+from the middle. What lenses and a turned eye do to rows shows in every point that odometry follows. All is
+found at once: Gauss-Newton on the corners in both eyes and on the rows, with a prior for every unknown; the
+bodies' poses, one for each picture, are eliminated (Schur complement).
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -31,8 +29,6 @@ _HUBER = 3.0
 _POSE = 6
 _STEPS = np.array([1e-2, 1e-2, 1e-4, 1e-2, 1e-2, 1e-5, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4, 1e-4])  # of differences
 _CAMERA = len(_STEPS)
-_STAGES = 8  # of the offset's walk along the legs; four left a third of its error
-_EYES = _CAMERA + 2 * _STAGES  # unknowns of the camera and of what its offset walked, x and then y
 _POINT_STEP = 1e-6  # m
 _LEAST_PICTURES = 12
 _LEAST_M = 0.1  # that the object must wander in camera axes
@@ -42,20 +38,19 @@ _INPLANE = 0.3  # of a plate's bend moves corners within its plane
 
 
 class _Picture(NamedTuple):
-    """What is used of a sample, how far corners may be off in it (px), for rows of a moving picture are read
-    one after another, and how much (stages,) of each stage of the offset's walk is still ahead of it.
+    """What is used of a sample, and how far corners may be off in it (px): rows of a moving picture are read
+    one after another.
     """
 
     observation: FrameObservation
     pairs: PointPairs | None
     std_px: float
-    ahead: Array
 
 
 class _Corners(NamedTuple):
     """All corners seen, a row each: ``points`` (n, 3) in their body, ``centres`` (n, 3) of their prints,
     ``left`` and ``right`` (n, 2) px (right NaN where not seen), ``body`` (n,) which pose they hang on,
-    ``marker`` (n,) which print, ``corner`` (n,) which of its four, ``std_px`` (n,), ``ahead`` (n, stages).
+    ``marker`` (n,) which print, ``corner`` (n,) which of its four, ``std_px`` (n,).
     """
 
     points: Array
@@ -66,22 +61,12 @@ class _Corners(NamedTuple):
     marker: NDArray[np.int64]
     corner: NDArray[np.int64]
     std_px: Array
-    ahead: Array
-
-
-class _Rows(NamedTuple):
-    """Points without a marker in both eyes, (m, 2) px, and ``ahead`` (m, stages) of each."""
-
-    left: Array
-    right: Array
-    ahead: Array
 
 
 def fitted_errors(
     samples: Sequence[WatchSample], camera: CameraCalibration, settings: MarkerSettings
 ) -> CameraErrors | None:
-    """What the samples of a watch of markers and odometry say of ``camera`` as configured, when the last was
-    taken.
+    """What the samples of a watch of markers and odometry say of ``camera`` as configured.
 
     None where that is not asked for, or the object was seen too seldom or in too small a space.
     """
@@ -91,17 +76,16 @@ def fitted_errors(
         return None
     corners, poses = _corners(chosen, settings)
     rows = _rows(chosen)
-    shared = np.zeros(_EYES + _PRINT * len(settings.sizes))
-    walk = np.full(2 * _STAGES, _stage_std(samples, settings))
-    stds = np.concatenate([prior_stds(settings), walk, _print_stds(settings)])
+    shared = np.zeros(_CAMERA + _PRINT * len(settings.sizes))
+    stds = np.concatenate([prior_stds(settings), _print_stds(settings)])
     for _ in range(_ROUNDS):
         H, g = np.diag(stds**-2.0), -shared / stds**2
         reduced, eliminated = _corner_equations(corners, poses, shared, camera)
-        row_H, row_g = _row_equations(rows, shared[:_EYES], camera, doubts)
+        row_H, row_g = _row_equations(rows, shared[:_CAMERA], camera, doubts)
         H += reduced.H
         g += reduced.g
-        H[:_EYES, :_EYES] += row_H
-        g[:_EYES] += row_g
+        H[:_CAMERA, :_CAMERA] += row_H
+        g[:_CAMERA] += row_g
         step = np.linalg.solve(H, g)
         shared = shared + step
         poses = eliminated.moved(poses, step)
@@ -130,21 +114,8 @@ def _spread_out(
     for k in np.minimum(chosen, len(seen) - 1).tolist():
         _, _, observation, pairs = seen[k]
         if observation is not None:
-            ahead = _ahead(seen[k][1], samples)
-            pictures.append(_Picture(observation, pairs, float(std_px[k]), ahead))
+            pictures.append(_Picture(observation, pairs, float(std_px[k])))
     return pictures
-
-
-def _ahead(time_ns: int, samples: Sequence[WatchSample]) -> Array:
-    """How much (stages,) of each stage of the offset's walk lies after ``time_ns``, the last one first."""
-    first, last = samples[0].time_ns, samples[-1].time_ns
-    return np.clip(_STAGES * (last - time_ns) / (last - first) - np.arange(_STAGES), 0.0, 1.0)
-
-
-def _stage_std(samples: Sequence[WatchSample], settings: MarkerSettings) -> float:
-    """By how much (px) the offset walks in one stage."""
-    stage_s = 1e-9 * (samples[-1].time_ns - samples[0].time_ns) / _STAGES
-    return max(settings.offset_drift_px * math.sqrt(stage_s / 60.0), 1e-6)
 
 
 def _corners(pictures: list[_Picture], settings: MarkerSettings) -> tuple[_Corners, Array]:
@@ -152,7 +123,7 @@ def _corners(pictures: list[_Picture], settings: MarkerSettings) -> tuple[_Corne
     seen_at: list[_Corners] = []
     poses: list[Array] = []
     numbers, at_rest = sorted(settings.sizes), settings.corner_std_px  # the tool rests in the picture
-    for seen, _, std_px, ahead in pictures:
+    for seen, _, std_px in pictures:
         for X, ids in ((seen.X_CM, {settings.tool.id}), (seen.X_CO, {m.id for m in settings.object})):
             parts = [marker for marker in seen.markers if marker.marker_id in ids]
             if X is None or not parts:
@@ -165,19 +136,17 @@ def _corners(pictures: list[_Picture], settings: MarkerSettings) -> tuple[_Corne
                 body, print_of = np.full(4, len(poses)), np.full(4, numbers.index(number))
                 four, std = np.arange(4), np.full(4, std_px if number != settings.tool.id else at_rest)
                 eyes = (marker.corners_left, right)
-                still = np.tile(ahead, (4, 1))
-                seen_at.append(_Corners(points, centre, *eyes, body, print_of, four, std, still))
+                seen_at.append(_Corners(points, centre, *eyes, body, print_of, four, std))
             poses.append(X)
     whole: Any = (np.concatenate(column) for column in zip(*seen_at, strict=True))
     return _Corners(*whole), np.array(poses)
 
 
-def _rows(pictures: list[_Picture]) -> _Rows:
-    parts = [_Rows(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, _STAGES)))]
-    for _, pairs, _, ahead in pictures:
-        if pairs is not None:
-            parts.append(_Rows(pairs.left, pairs.right, np.tile(ahead, (len(pairs.left), 1))))
-    return _Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+def _rows(pictures: list[_Picture]) -> PointPairs:
+    """Points without a marker in both eyes, of all pictures."""
+    nothing = PointPairs(np.zeros((0, 2)), np.zeros((0, 2)))
+    parts = [nothing, *(picture.pairs for picture in pictures if picture.pairs is not None)]
+    return PointPairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _print_stds(settings: MarkerSettings) -> Array:
@@ -217,7 +186,7 @@ def _corner_equations(
 ) -> tuple[_Reduced, _Eliminated]:
     """Normal equations of all corners in both eyes."""
     R = poses[corners.body, :3, :3]
-    prints = shared[_EYES:].reshape(-1, _PRINT)[corners.marker]
+    prints = shared[_CAMERA:].reshape(-1, _PRINT)[corners.marker]
     own, at = corners.points - corners.centres, np.arange(len(corners.points))
     bent = prints[:, 4:].reshape(-1, 4, 3)[at, corners.corner]
     levers = np.einsum("nij,nj->ni", R, corners.points + own * prints[:, :1] + prints[:, 1:4] + bent)
@@ -226,7 +195,7 @@ def _corner_equations(
     moves = np.zeros((n, 3, _POSE + s))  # of the point in C
     moves[:, :, :3] = np.eye(3)
     moves[:, :, 3:6] = -np.array([se3.hat(lever) for lever in levers])
-    first = _POSE + _EYES + _PRINT * corners.marker
+    first = _POSE + _CAMERA + _PRINT * corners.marker
     moves[at, :, first] = np.einsum("nij,nj->ni", R, own)
     for axis in range(3):
         moves[at, :, first + 1 + axis] = R[:, :, axis]
@@ -234,11 +203,8 @@ def _corner_equations(
     H, g = np.zeros((count, _POSE + s, _POSE + s)), np.zeros((count, _POSE + s))
     for eye, measured in enumerate((corners.left, corners.right)):
         residual, J = _linearised(points, measured, eye, shared[:_CAMERA], camera)
-        if eye == 1:
-            walked = _columns_of_walk(corners.ahead)
-            residual, J = residual - walked @ shared[_CAMERA:_EYES], np.concatenate([J, walked], axis=2)
         whole = np.einsum("nri,nij->nrj", J[:, :, :3], moves)
-        whole[:, :, _POSE : _POSE + J.shape[2] - 3] += J[:, :, 3:]
+        whole[:, :, _POSE : _POSE + _CAMERA] += J[:, :, 3:]
         _gather(H, g, whole, residual, corners)
     inverses = np.asarray(np.linalg.inv(H[:, :_POSE, :_POSE]), dtype=np.float64)
     coupling = H[:, :_POSE, _POSE:]
@@ -287,36 +253,27 @@ def _linearised(
     return measured - here, np.stack(columns, axis=2)
 
 
-def _columns_of_walk(ahead: Array) -> Array:
-    """How the walk's stages (x and then y) move points in the right eye (n, 2, 2 stages)."""
-    still = np.zeros((len(ahead), 2, 2 * _STAGES))
-    still[:, 0, :_STAGES] = still[:, 1, _STAGES:] = ahead
-    return still
-
-
 def _row_equations(
-    rows: _Rows, shared: Array, camera: CameraCalibration, doubts: CalibrationDoubts
+    rows: PointPairs, errors: Array, camera: CameraCalibration, doubts: CalibrationDoubts
 ) -> tuple[Array, Array]:
-    """Normal equations of the rows over the camera's errors and its offset's walk: the column tells a point's
-    depth, its row is a measurement.
+    """Normal equations of the rows over the camera's errors: the column tells a point's depth, its row is a
+    measurement.
     """
     if len(rows.left) == 0:
-        return np.zeros((_EYES, _EYES)), np.zeros(_EYES)
-    errors, walked = shared[:_CAMERA], _columns_of_walk(rows.ahead)[:, 1]
-    bare = _row_errors(rows, errors, camera)
+        return np.zeros((_CAMERA, _CAMERA)), np.zeros(_CAMERA)
+    here = _row_errors(rows, errors, camera)
     columns = [
-        (_row_errors(rows, errors + step * np.eye(_CAMERA)[k], camera) - bare) / step
+        (_row_errors(rows, errors + step * np.eye(_CAMERA)[k], camera) - here) / step
         for k, step in enumerate(_STEPS)
     ]
-    J = np.column_stack([*columns, -walked])
-    here = bare - walked @ shared[_CAMERA:]
+    J = np.column_stack(columns)
     std = max(1.4826 * float(np.median(np.abs(here - np.median(here)))), doubts.row_std_px)
     weight = 1.0 / np.maximum(1.0, np.abs(here) / (_HUBER * std)) * min(1.0, doubts.row_points / len(here))
     scaled = J * (weight / std**2)[:, None]
     return scaled.T @ J, -scaled.T @ here
 
 
-def _row_errors(rows: _Rows, errors: Array, camera: CameraCalibration) -> Array:
+def _row_errors(rows: PointPairs, errors: Array, camera: CameraCalibration) -> Array:
     """By how many px (m,) the right eye sees points above or below where the left one says that they are."""
     believed = corrected(camera, errors)
     left = intrinsics.normalised(believed.left, rows.left)

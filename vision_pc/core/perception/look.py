@@ -97,7 +97,7 @@ def observe(
     ``previous`` is the frame before: where its markers were is searched first, its poses decide an
     ambiguous marker, its estimate of the right eye's offset is carried on.
     """
-    priors = priors_after(previous, settings, pair.capture_ns)
+    priors = priors_after(previous, settings)
     found = _found(pair, settings, previous)
     sightings, unfit = markers.sight(pair, found.detected.corners, camera, settings, priors)
     unfit |= dict.fromkeys(found.detected.repeated, "repeated_id")
@@ -106,27 +106,15 @@ def observe(
     return observation_of(stamp, seen, camera, settings, priors, previous)
 
 
-def priors_after(previous: FrameObservation | None, settings: MarkerSettings, capture_ns: int) -> Priors:
-    """What is taken for granted about a frame at ``capture_ns``, the offset as it was last estimated."""
+def priors_after(previous: FrameObservation | None, settings: MarkerSettings) -> Priors:
+    """What is taken for granted about the frame after ``previous``, the offset as it was last estimated."""
     offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
     if previous is not None and previous.offset is not None:
-        offset = _offset_after(previous.offset, 1e-9 * (capture_ns - previous.capture_ns), settings)
+        offset = previous.offset
     corner, size, radial = settings.corner_std_px, settings.print_size_std, settings.radial_std
     if previous is None or previous.errors is None:
         return Priors(corner, size, offset, radial)
     return Priors(corner, size, offset, math.sqrt(previous.errors.covariance[6, 6]), known=True)
-
-
-def _offset_after(offset: StereoOffset, passed_s: float, settings: MarkerSettings) -> StereoOffset:
-    """``offset`` after a random walk: as certain as before, or less, but never less than at first."""
-    if settings.offset_drift_px == 0.0:
-        return offset
-    walked = settings.offset_drift_px * math.sqrt(max(passed_s, 0.0) / 60.0)
-    most = max(settings.offset_std_px, offset.std_x_px, offset.std_y_px)
-    return offset._replace(
-        std_x_px=min(math.hypot(offset.std_x_px, walked), most),
-        std_y_px=min(math.hypot(offset.std_y_px, walked), most),
-    )
 
 
 class FrameStamp(NamedTuple):

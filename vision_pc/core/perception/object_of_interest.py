@@ -70,7 +70,7 @@ def locate(
     return LocatedScene(
         bodies[0] if tool_start is not None else None,
         bodies[-1] if object_start is not None else None,
-        _floored(solution.offset, priors, [body.X for body in bodies], camera, settings),
+        _floored(solution.offset, priors, settings.offset_floor_px),
         refused,
     )
 
@@ -170,34 +170,14 @@ def _misplaced(body: LocatedBody, markers: int, settings: MarkerSettings) -> Loc
     return body._replace(covariance=body.covariance + off, bias=body.bias + off)
 
 
-def _floored(
-    after: StereoOffset,
-    priors: Priors,
-    poses: list[Array],
-    camera: CameraCalibration,
-    settings: MarkerSettings,
-) -> StereoOffset:
+def _floored(after: StereoOffset, priors: Priors, floor_px: float) -> StereoOffset:
     """``after``, never more certain than the floor: lens and print errors do not average out over frames.
     ``before``, where it is known from more than frames.
     """
-    if priors.known:
-        return priors.offset
     before = priors.offset
-    floor = settings.offset_floor_px
-    across = max(floor, _shared_px(poses, camera, settings)) if settings.shared_prints else floor
+    if priors.known:
+        return before
     return after._replace(
-        std_x_px=min(max(after.std_x_px, across), before.std_x_px),
-        std_y_px=min(max(after.std_y_px, floor), before.std_y_px),
+        std_x_px=min(max(after.std_x_px, floor_px), before.std_x_px),
+        std_y_px=min(max(after.std_y_px, floor_px), before.std_y_px),
     )
-
-
-def _shared_px(poses: list[Array], camera: CameraCalibration, settings: MarkerSettings) -> float:
-    """What is left of the offset's error (1 σ, px of disparity) when corners are known exactly.
-
-    A range from a size that is off by a share stands for a disparity off by that share of it: each body's
-    print by its own, the focal length by the same share for all.
-    """
-    baseline = float(np.linalg.norm(camera.right.X_CE[:3, 3]))
-    disparities = np.array([camera.left.K[0, 0] * baseline / X[2, 3] for X in poses])
-    prints = (np.sum((disparities * settings.print_size_std) ** -2.0)) ** -0.5
-    return float(np.hypot(prints, disparities.min() * settings.focal_std))

@@ -14,7 +14,6 @@ from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
 from vision_pc.core.calibration.local_error_model import (
-    CameraDelay,
     LocalErrorModel,
     LocalTrack,
     extended,
@@ -22,7 +21,6 @@ from vision_pc.core.calibration.local_error_model import (
     solve_step,
     watched_path,
 )
-from vision_pc.core.calibration.take_up import widened_by_sight
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import (
@@ -56,13 +54,11 @@ class CorrectedResult(NamedTuple):
     """The result, the error in K axes that odometry measured before the last look, and the track so far.
 
     Without a step, ``seen`` is what the one look says.
-    ``delay``: of the camera, as the newest model has it; None where it was not asked for.
     """
 
     positioning: PositioningResult
     seen: ExpectedEnd
     track: LocalTrack
-    delay: CameraDelay | None = None
 
     @property
     def measured_residual_m(self) -> Array:
@@ -109,11 +105,12 @@ async def look_then_move_corrected(
         planned = PlannedStep(x, covariance, share, max(settings.corrections + 1 - len(steps), 1))
         steps.append(_step(look, fitted, track, planned, settings, map_settings))
         report(0.2 + 0.6 * min(len(steps) / (settings.corrections + 1), 1.0), _in_words(residuals[-1]))
-        motion = await watched_path(arm, eyes, [steps[-1].X_BT_ref], track.take_up, dimensions, map_settings)
+        motion = await watched_path(arm, eyes, [steps[-1].X_BT_ref], dimensions, map_settings)
         goal_K = motion.X_KC[0][:3, :3] @ goal_K + motion.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
-        residual_B = fitted.R @ residuals[-1] if share == 1.0 else None
-        track = _track_with(track, motion, residual_B, map_settings)
+        if share == 1.0:
+            motion = motion._replace(residuals=(fitted.R @ residuals[-1])[None])
+        track = extended(track, motion)
     seen = end_by_odometry(residuals, look, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     last = await eyes.look()
@@ -121,7 +118,7 @@ async def look_then_move_corrected(
     track = track._replace(contradiction=contradiction_m(seen, last))
     ended = _ended(looks[-1], seen, track, settings)
     report(1.0, _error_in_words(looks[-1]) + (ELSEWHERE if ended is Ended.CONTRADICTED else ""))
-    return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track, fitted.delay)
+    return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track)
 
 
 def _ended(
@@ -134,16 +131,6 @@ def _ended(
     if reached(verdict, settings):
         return Ended.REACHED
     return Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
-
-
-def _track_with(
-    track: LocalTrack, motion: LocalTrack, residual: Array | None, settings: LocalErrorModelSettings
-) -> LocalTrack:
-    """``track`` with a ``motion`` that by odometry left a ``residual`` (3,) m in B; None: it had no goal."""
-    if residual is None:
-        return extended(track, motion)
-    track = extended(track, motion._replace(residuals=residual[None]))
-    return track._replace(take_up=widened_by_sight(track.take_up, residual, track.X_BT_now, settings))
 
 
 def _stayed(look: Look, track: LocalTrack, settings: PositioningSettings, report: Report) -> CorrectedResult:

@@ -7,9 +7,8 @@ import numpy as np
 
 from nominal_arm.dimensions import BoomDimensions
 from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
-from vision_pc.core.calibration.arm_fields import boom_levers
+from vision_pc.core.calibration.boom_levers import boom_levers, slew_lever
 from vision_pc.core.calibration.local_error_model import LocalErrorModel, LocalTrack
-from vision_pc.core.calibration.take_up import slew_lever
 from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.positioning.look_then_move import error_covariance
 from vision_pc.core.se3 import Array
@@ -30,8 +29,7 @@ class ServoSpread(NamedTuple):
 
 def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoSpread:
     """What the next motion is expected to leave."""
-    banded = bool(np.any(track.take_up.gaps > settings.take_up.gap_rad))
-    prior = settings.servo_std_m**2 + (settings.band_std_m**2 if banded else 0.0)
+    prior = settings.servo_std_m**2
     seen = prior + settings.odometry_std_m**2
     residuals = np.concatenate([track.residuals, _residual_of_legs(track, settings)])
     squares = float((residuals**2).sum() / 3.0 * _ACROSS / seen)
