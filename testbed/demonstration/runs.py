@@ -2,8 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,28 +72,20 @@ def run_demo(
 ) -> bool:
     """Whether the true error ended inside the limit; prints the table and writes the report.
 
-    A run that stopped on a machine that did not keep up is repeated once, if nothing was to be broken: what
-    stopped it was the machine. ``hold``: leave everything running at the end, until Ctrl-C. Raises
-    LongreachError when the services cannot be started.
+    ``hold``: leave everything running at the end, until Ctrl-C. Raises LongreachError when the services
+    cannot be started.
     """
-    launched = partial(
-        prepare, config_dir, overrides, any_ports=any_ports, foxglove=foxglove, controller=choice.controller
-    )
     end_on_sigterm()
-    passed, driven = _run(launched, choice, runs, json_file, hold)
-    if driven.failure is not None and driven.overload and not (hold or choice.faults):
-        out.print("a machine that does not keep up proves nothing of the arm: once more", style="bold yellow")
-        passed, _ = _run(launched, choice, runs, json_file)
-    return passed
-
-
-def _run(
-    launched: Callable[[Path], Launch], choice: Choice, runs: Path, json_file: Path | None, hold: bool = False
-) -> tuple[bool, Driven]:
-    """Whether one run has passed, and what it left behind."""
     began = time.monotonic()
     with run_directory(runs) as directory:
-        launch = launched(directory)
+        launch = prepare(
+            config_dir,
+            overrides,
+            directory,
+            any_ports=any_ports,
+            foxglove=foxglove,
+            controller=choice.controller,
+        )
         note_settings(directory, launch.settings)
         with bars() as shown, started(launch, shown) as supervisor:
             show_console(launch)
@@ -103,7 +94,7 @@ def _run(
             driven = drive(launch, choice, shown, supervisor)
             if hold:
                 _wait_for_ctrl_c(launch, supervisor)
-        return _present(launch, choice, driven, time.monotonic() - began, json_file), driven
+        return _present(launch, choice, driven, time.monotonic() - began, json_file)
 
 
 def _wait_for_ctrl_c(launch: Launch, supervisor: Supervisor) -> None:
