@@ -1,32 +1,42 @@
-"""The house in numbers: lines, rooms, imports, long functions, many parameters, names used twice.
+"""The house in numbers: lines, statements, imports, long functions, many parameters, names used twice.
 
 ``python -m tests.house.measures`` prints them for this checkout; give another checkout's folder to compare.
+A statement is an ``ast.stmt`` that is neither an import nor a docstring: merged modules, joined lines and
+dropped blank lines leave it as it is.
 """
 
 import ast
 import re
 import sys
-from collections import defaultdict
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
 ROOT = Path(__file__).parents[2]
-_NOT_SOURCE = {"tests", "docs", "configs", "runs", "dist", "build"}
+_NOT_SOURCE = {"tests", "runs", "dist", "build"}
+_PAGES_OF_CODE = {".st", ".js", ".css", ".html"}
 MAX_LINES, MAX_PARAMETERS, MAX_ROOMS = 40, 8, 20
+SERVICES = ("controller", "plant_emulator", "vision_pc")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 class Module(NamedTuple):
-    """One source file: its dotted name, path, text and tree."""
+    """One Python file: its dotted name, path, text and tree."""
 
     name: str
     path: Path
     text: str
     tree: ast.Module
+
+    @property
+    def package(self) -> str:
+        """The folder on top in which it lies."""
+        return self.name.split(".")[0]
 
 
 class Named(NamedTuple):
@@ -34,25 +44,36 @@ class Named(NamedTuple):
 
     place: str
     count: int
-    compiled: bool
 
 
-def packages(root: Path) -> list[str]:
-    """The source packages of a checkout: folders on top with an ``__init__.py`` that are no tests."""
-    return sorted(
-        path.parent.name for path in root.glob("*/__init__.py") if path.parent.name not in _NOT_SOURCE
-    )
+def files(root: Path, *suffixes: str) -> list[Path]:
+    """All files of a checkout with one of the suffixes, without hidden folders and what is made."""
+    tops = [
+        root,
+        *(path for path in root.iterdir() if path.is_dir() and path.name not in _NOT_SOURCE - {"tests"}),
+    ]
+    found = [
+        p
+        for top in tops
+        if top.name[0] != "." or top == root
+        for p in (top.rglob("*") if top != root else top.iterdir())
+    ]
+    return sorted(path for path in found if path.suffix in suffixes and path.is_file())
 
 
 def modules(root: Path) -> list[Module]:
-    """All source modules of a checkout, by name."""
+    """All Python files of a checkout, tests too, by name."""
     found = []
-    for package in packages(root):
-        for path in sorted((root / package).rglob("*.py")):
-            text = path.read_text(encoding="utf-8")
-            name = ".".join(path.relative_to(root).with_suffix("").parts)
-            found.append(Module(name.removesuffix(".__init__"), path, text, ast.parse(text)))
+    for path in files(root, ".py"):
+        text = path.read_text(encoding="utf-8")
+        name = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
+        found.append(Module(name, path, text, ast.parse(text)))
     return found
+
+
+def source_of(every: list[Module]) -> list[Module]:
+    """Those that are no tests."""
+    return [module for module in every if module.package != "tests"]
 
 
 def functions(module: Module) -> Iterator[tuple[str, Function]]:
@@ -62,36 +83,42 @@ def functions(module: Module) -> Iterator[tuple[str, Function]]:
             yield f"{module.name}:{node.lineno} {node.name}", node
 
 
-def is_compiled(function: Function) -> bool:
-    """Whether numba compiles it: its decorator says kernel, njit or compiled."""
-    names = (ast.unparse(decorator) for decorator in function.decorator_list)
-    return any(word in name for name in names for word in ("njit", "kernel", "compiled"))
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def statements(every: Iterable[Module]) -> int:
+    """Statements of modules, imports and docstrings not counted."""
+    nodes = (node for module in every for node in ast.walk(module.tree) if isinstance(node, ast.stmt))
+    return sum(not isinstance(node, ast.Import | ast.ImportFrom) and not _is_text(node) for node in nodes)
+
+
+def lines(every: Iterable[Module]) -> int:
+    """Lines of modules."""
+    return sum(len(module.text.splitlines()) for module in every)
 
 
 def long_functions(every: list[Module]) -> list[Named]:
-    """Functions over 40 lines, the docstring not counted, longest first."""
+    """Functions over 40 lines, the docstring not counted."""
     found = []
-    for module in every:
-        for place, node in functions(module):
-            first = node.body[0]
-            documented = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
-            text = (first.end_lineno or 0) - first.lineno + 1 if documented else 0
-            lines = (node.end_lineno or 0) - node.lineno + 1 - text
-            if lines > MAX_LINES:
-                found.append(Named(place, lines, is_compiled(node)))
-    return sorted(found, key=lambda named: -named.count)
+    for place, node in (pair for module in every for pair in functions(module)):
+        first = node.body[0]
+        text = (first.end_lineno or 0) - first.lineno + 1 if _is_text(first) else 0
+        count = (node.end_lineno or 0) - node.lineno + 1 - text
+        if count > MAX_LINES:
+            found.append(Named(place, count))
+    return found
 
 
 def many_parameters(every: list[Module]) -> list[Named]:
-    """Functions with more than eight parameters (self and cls not counted), most first."""
+    """Functions with more than eight parameters (self and cls not counted)."""
     found = []
-    for module in every:
-        for place, node in functions(module):
-            asked = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
-            count = len([name for name in asked if name not in ("self", "cls")])
-            if count > MAX_PARAMETERS:
-                found.append(Named(place, count, is_compiled(node)))
-    return sorted(found, key=lambda named: -named.count)
+    for place, node in (pair for module in every for pair in functions(module)):
+        parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        count = sum(parameter.arg not in ("self", "cls") for parameter in parameters)
+        if count > MAX_PARAMETERS:
+            found.append(Named(place, count))
+    return found
 
 
 def names_used_twice(every: list[Module]) -> dict[str, list[str]]:
@@ -104,16 +131,17 @@ def names_used_twice(every: list[Module]) -> dict[str, list[str]]:
     return {name: where for name, where in sorted(places.items()) if len(where) > 1}
 
 
-def rooms(root: Path) -> dict[str, int]:
+def rooms(every: list[Module]) -> dict[str, int]:
     """For each source folder how many modules and folders lie in it; ``__init__.py`` is its door."""
-    counts = {}
-    for package in packages(root):
-        for folder in (root / package, *(root / package).rglob("*")):
-            if folder.is_dir() and folder.name != "__pycache__" and any(folder.glob("*.py")):
-                inside = [p for p in folder.glob("*.py") if p.name != "__init__.py"]
-                below = [p for p in folder.iterdir() if p.is_dir() and any(p.glob("*.py"))]
-                counts[str(folder.relative_to(root))] = len(inside) + len(below)
-    return counts
+    inside: dict[str, set[str]] = defaultdict(set)
+    for module in source_of(every):
+        parts = module.path.relative_to(
+            ROOT if ROOT in module.path.parents else module.path.parents[-2]
+        ).parts
+        for depth in range(1, len(parts)):
+            if parts[depth] != "__init__.py":
+                inside["/".join(parts[:depth])].add(parts[depth])
+    return {folder: len(names) for folder, names in inside.items()}
 
 
 def imports(every: list[Module]) -> set[tuple[str, str]]:
@@ -131,89 +159,81 @@ def imports(every: list[Module]) -> set[tuple[str, str]]:
     return {(a, b) for a, b in arrows if b in known and a != b}
 
 
+def closure(every: list[Module], starts: tuple[str, ...]) -> list[Module]:
+    """What the packages ``starts`` reach by imports, their own modules and the packages' doors included."""
+    reached = {module.name for module in every if module.package in starts}
+    forward = defaultdict(set)
+    for a, b in imports(every):
+        forward[a].add(b)
+    todo = list(reached)
+    while todo:
+        for name in forward[todo.pop()] - reached:
+            reached.add(name)
+            todo.append(name)
+    doors = {".".join(name.split(".")[:depth]) for name in reached for depth in range(1, name.count(".") + 1)}
+    return [module for module in every if module.name in reached | doors]
+
+
 def arrows_between_rooms(folder: str, arrows: set[tuple[str, str]]) -> set[tuple[str, str]]:
     """Arrows between what lies in ``folder`` (dotted; "" is the top), each file or folder below as one."""
     prefix = f"{folder}." if folder else ""
 
-    def room(name: str) -> str | None:
-        inside = name.removeprefix(prefix) if name.startswith(prefix) else ""
-        return inside.split(".")[0] or None
+    def room(name: str) -> str:
+        return name.removeprefix(prefix).split(".")[0] if name.startswith(prefix) else ""
 
     pairs = {(room(a), room(b)) for a, b in arrows}
     return {(a, b) for a, b in pairs if a and b and a != b}
 
 
-def circles(arrows: set[tuple[str, str]]) -> list[list[str]]:
-    """Groups that reach each other by arrows, largest first (strongly connected, Kosaraju)."""
-    forward, backward = defaultdict(set), defaultdict(set)
+def circle(arrows: set[tuple[str, str]]) -> list[str]:
+    """Names that import each other in a circle; empty: there is none."""
+    graph: dict[str, set[str]] = defaultdict(set)
     for a, b in arrows:
-        forward[a].add(b)
-        backward[b].add(a)
-    order: list[str] = []
-    seen: set[str] = set()
-    for start in sorted({name for arrow in arrows for name in arrow}):
-        order += _reached(start, forward, seen)
-    found, seen = [], set()
-    for start in reversed(order):
-        group = _reached(start, backward, seen)
-        if len(group) > 1:
-            found.append(sorted(group))
-    return sorted(found, key=len, reverse=True)
-
-
-def _reached(start: str, arrows: dict[str, set[str]], seen: set[str]) -> list[str]:
-    """What ``start`` reaches and was not seen, in the order in which it was left."""
-    if start in seen:
-        return []
-    seen.add(start)
-    left: list[str] = []
-    path = [(start, iter(sorted(arrows[start])))]
-    while path:
-        name, rest = path[-1]
-        following = next((n for n in rest if n not in seen), None)
-        if following is None:
-            left.append(name)
-            path.pop()
-        else:
-            seen.add(following)
-            path.append((following, iter(sorted(arrows[following]))))
-    return left
-
-
-def lines(root: Path, pattern: str) -> int:
-    """Lines of all files of a pattern."""
-    return sum(len(path.read_text(encoding="utf-8").splitlines()) for path in root.glob(pattern))
+        graph[a].add(b)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as found:
+        return list(found.args[1])
+    return []
 
 
 PARTS = {
-    "conformance": ("conformance",),
+    "conformance": ("conformance", "dissector"),
     "laboratory": ("laboratory",),
-    "product": (
-        "controller", "controller_st", "dissector", "examples", "foundation", "longreach", "nominal_arm",
-        "plant_emulator", "protocol", "structured_text", "testbed", "tools", "vision_pc",
-    ),
-}  # fmt: skip
-"""Part of the house → its packages: the suites and the laboratory are distributions of their own."""
+    "structured text": ("structured_text", "controller_st"),
+    "ROS 2": ("longreach_ros2",),
+}
+"""Part of the house → its packages: distributions of their own; what is left is the product."""
 
 
 def mass(root: Path) -> dict[str, int]:
-    """What a person who takes the house over has to read: lines, words, modules, keys of a checkout."""
-    sources = [path for package in packages(root) for path in (root / package).rglob("*.py")]
-    every = [path for pattern in ("*.md", "docs/**/*.md", "examples/**/*.md") for path in root.glob(pattern)]
-    pages = [path for path in every if path.parent.name != "reference"]  # looked up in, and made by a program
+    """What a person who takes the house over has to read."""
+    every = modules(root)
+    source, tests = source_of(every), [module for module in every if module.package == "tests"]
+    part_of = {package: part for part, packages in PARTS.items() for package in packages}
+    by_part: Counter[str] = Counter()
+    for module in source:
+        by_part[part_of.get(module.package, "the product")] += statements([module])
+    own = [p for p in files(root, *_PAGES_OF_CODE) if "vendor" not in p.parts and "tests" not in p.parts]
+    pages = [
+        path for path in files(root, ".md") if path.parent.name != "reference" and "vendor" not in path.parts
+    ]
 
     def words(paths: list[Path]) -> int:  # a table's bars are none
         tokens = (token for path in paths for token in path.read_text(encoding="utf-8").split())
         return sum(any(map(str.isalnum, token)) for token in tokens)
 
-    parts = {
-        f"lines of {part}": sum(lines(root, f"{package}/**/*.py") for package in names)
-        for part, names in PARTS.items()
-    }
-    return parts | {
-        "modules": len(sources),
-        "lines of source": sum(len(path.read_text(encoding="utf-8").splitlines()) for path in sources),
-        "lines of tests": lines(root, "tests/**/*.py"),
+    return {
+        "lines of source": lines(source),
+        "statements of source": statements(source),
+        **{f"statements of {part}": count for part, count in sorted(by_part.items())},
+        "lines that the three services import": lines(closure(source, SERVICES)),
+        "lines of tests": lines(tests),
+        "statements of tests": statements(tests),
+        "lines of structured text, JavaScript, CSS and HTML": sum(
+            len(p.read_text(encoding="utf-8").splitlines()) for p in own
+        ),
+        "modules": len(source),
         "words of pages": words(pages),
         "words of the README": words([root / "README.md"]),
         "configuration keys": len(configuration_keys(root / "configs")),
@@ -248,28 +268,6 @@ def untagged_constants(folder: Path) -> list[str]:
     return [f"{name}: {line}" for name, line in lines_of if not re.search(r"\[[SMED]\]", line)]
 
 
-def main(root: Path) -> None:
-    """Print the figures of the checkout at ``root``."""
-    every = modules(root)
-    arrows = imports(every)
-    for what, count in mass(root).items():
-        print(f"{what:<24}{count:>8}")
-    for package in packages(root):
-        print(f"{package:<16}{lines(root, f'{package}/**/*.py'):>7} lines")
-    by_size = sorted(rooms(root).items(), key=lambda item: -item[1])
-    for folder, count in by_size[:6]:
-        inside = arrows_between_rooms(folder.replace("/", "."), arrows)
-        print(f"{folder}: {count} rooms, {len(inside)} arrows, {len(circles(inside))} circles")
-    crowded = sum(count > MAX_ROOMS for count in rooms(root).values())
-    print(f"folders with more than {MAX_ROOMS} rooms: {crowded}")
-    crossed = [f for f in ("", *rooms(root)) if circles(arrows_between_rooms(f.replace("/", "."), arrows))]
-    print(f"folders whose rooms form a circle: {len(crossed)} {crossed}")
-    for title, found in (("lines", long_functions(every)), ("parameters", many_parameters(every))):
-        limit = MAX_LINES if title == "lines" else MAX_PARAMETERS
-        kernels = sum(named.compiled for named in found)
-        print(f"functions over {limit} {title}: {len(found)}, of them compiled kernels: {kernels}")
-    print(f"public class names used more than once: {len(names_used_twice(every))}")
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT)
+    for what, count in mass(Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else ROOT).items():
+        print(f"{what:<52}{count:>8}")
