@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plant_emulator.core.coupler.image import COUPLER_MAP
 from protocol.channel import MAX_GAP_DATAGRAMS
 from protocol.datagram import decode, encode
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, TRAILER, Kind
@@ -26,7 +25,7 @@ from protocol.process_image import (
 )
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
-from tools.plc import camel, member_name
+from tools.plc import camel
 from tools.protocol_files import FILES, FOLDER
 from tools.protocol_page import signed_golden
 from tools.sample_messages import HEADER, MESSAGES
@@ -271,21 +270,3 @@ def test_a_reader_with_the_register_map_alone_reads_the_inputs() -> None:
     assert read["pressures_bar"] == pytest.approx([1.0, 2.5] * 6)
     assert read["oil_temperature_degc"] == pytest.approx([-4.25])
     assert read["plant_cycle"] == read["plant_cycle_again"] == [7.0]
-
-
-def test_csv_and_json_say_the_same_and_name_codes_that_are_served() -> None:
-    with (FOLDER / "registers.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    registers = json.loads((FOLDER / "registers.json").read_text(encoding="utf-8"))["registers"]
-    for row, register in zip(rows, registers, strict=True):
-        for name, value in register.items():
-            shown = " ".join(map(str, value)) if isinstance(value, list) else str(value)
-            assert row[name] == shown
-        assert set(register["read_with"]) <= set(COUPLER_MAP.reads)
-        assert set(register["write_with"]) <= set(COUPLER_MAP.writes)
-    assert {register["block"] for register in registers} == {"inputs", "outputs", "coupler"}
-
-
-def test_members_that_another_language_reserves_are_renamed_in_the_text_alone() -> None:
-    assert {member_name(f) for fields in PAYLOADS.values() for f in fields} >= {"limit_value"}
-    assert '"name": "limit"' in (FOLDER / "datagrams.json").read_text(encoding="utf-8")

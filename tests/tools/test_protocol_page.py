@@ -16,24 +16,17 @@ from protocol.datagram import decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
     MAX_DATAGRAM_BYTES,
-    PAYLOADS,
-    TRAILER,
     TRAILER_BYTES,
     Kind,
-    offsets,
-    size_of,
 )
 from protocol.errors import DatagramRefused
 from protocol.pose import Pose
-from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
 from protocol.reference_messages import Hello
-from tools.plc import IEC_NAMES, types
 from tools.protocol_page import GOLDEN, PAGE, ROOT, SECTIONS, rendered
 from tools.sample_messages import HEADER, MESSAGES
 
 TEXT = PAGE.read_text()
 STRUCT_CODES = {"USINT": "B", "BYTE": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
-IEC_BYTES = {"USINT": 1, "BYTE": 1, "UINT": 2, "INT": 2, "UDINT": 4, "DINT": 4, "ULINT": 8, "LREAL": 8}
 
 
 def test_the_tables_are_those_of_the_code() -> None:
@@ -134,90 +127,6 @@ def test_a_reader_with_the_page_alone_verifies_every_signed_datagram() -> None:
         tag = hmac.new(keys.get(name, of_client), data[:12] + data[16:-16], "sha256").digest()[:16]
         assert bytes(trailer["tag"]) == tag, name
         assert zlib.crc32(data[16:], zlib.crc32(data[:12])) == struct.unpack_from("<I", data, 12)[0]
-
-
-def structures() -> dict[str, list[tuple[str, int, str]]]:
-    """Members (name, count, type) of every structure in the IEC 61131-3 text."""
-    found: dict[str, list[tuple[str, int, str]]] = {}
-    for name, body in re.findall(
-        r"TYPE\n(\w+) : STRUCT[^\n]*\n(.*?)END_STRUCT\nEND_TYPE", types(), re.DOTALL
-    ):
-        members = []
-        for line in body.strip().splitlines():
-            match = re.fullmatch(r"\s*(\w+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+);", line)
-            assert match is not None, line
-            members.append((match[1], int(match[2] or 0) + 1, match[3]))
-        found[name] = members
-    return found
-
-
-def laid_out(name: str, pack: int) -> tuple[dict[str, int], int, int]:
-    """Offset of every member of a structure, its size and its alignment, as a PLC compiler lays it out."""
-    at, widest, places = 0, 1, {}
-    for member, count, kind in structures()[name]:
-        if kind in IEC_BYTES:
-            size = alignment = IEC_BYTES[kind]
-        else:
-            _, size, alignment = laid_out(kind, pack)
-        alignment = min(alignment, pack)
-        at += -at % alignment
-        places[member] = at
-        at += size * count
-        widest = max(widest, alignment)
-    return places, at + -at % widest, widest
-
-
-@pytest.mark.parametrize("pack", [1, 2, 4, 8])
-@pytest.mark.parametrize("kind", Kind, ids=lambda kind: kind.name)
-def test_the_plc_types_lie_as_the_codec_does(kind: Kind, pack: int) -> None:
-    name = "ST_LR_" + "".join(word.capitalize() for word in kind.name.split("_"))
-    places, size, _ = laid_out(name, pack)
-    fields = PAYLOADS[kind]
-    assert size == HEADER_BYTES + size_of(fields)
-    assert places.pop("header") == 0
-    assert places == {
-        IEC_NAMES.get(field.name, field.name): HEADER_BYTES + offset
-        for field, offset in zip(fields, offsets(fields), strict=True)
-    }
-    assert laid_out("ST_LR_Header", pack)[1] == HEADER_BYTES
-    trailer, size, _ = laid_out("ST_LR_Trailer", pack)
-    assert size == TRAILER_BYTES
-    assert trailer == {f.name: at for f, at in zip(TRAILER, offsets(TRAILER), strict=True)}
-    assert laid_out("ST_LR_Pose", pack)[1] == 56
-
-
-@pytest.mark.parametrize("pack", [1, 8])
-@pytest.mark.parametrize(
-    ("name", "table", "start"),
-    [("ST_LR_Inputs", INPUT_TABLE, INPUT_ADDRESS), ("ST_LR_Outputs", OUTPUT_TABLE, OUTPUT_ADDRESS)],
-)
-def test_the_plc_images_lie_as_the_registers_do(name: str, table: Any, start: int, pack: int) -> None:
-    places, size, _ = laid_out(name, pack)
-    assert places == {row.name: 2 * (row.address - start) for row in table}
-    assert size == 2 * sum(row.words for row in table)
-
-
-def test_no_member_of_a_plc_type_is_a_word_of_the_language() -> None:
-    words = {
-        "limit",
-        "mod",
-        "type",
-        "array",
-        "time",
-        "date",
-        "max",
-        "min",
-        "sel",
-        "mux",
-        "len",
-        "left",
-        "right",
-        "ton",
-    }
-    for members in structures().values():
-        names = [name.lower() for name, _, _ in members]
-        assert not words & set(names)
-        assert len(set(names)) == len(names)
 
 
 RAW_FAULTS: list[tuple[str, Callable[[bytearray], None]]] = [

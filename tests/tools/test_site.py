@@ -1,14 +1,12 @@
 """The site's own parts: references from code, navigation, and its examination."""
 
 from pathlib import Path
-from typing import Annotated
 
 import pytest
-import typer
 
 from testbed.scenarios import configuration_keys
 from testbed.scenarios.scenario import MODELS
-from tools.site import extension, reference
+from tools.site import extension
 
 ROOT = Path(__file__).parents[2]
 YAML = """
@@ -63,35 +61,6 @@ def test_every_shipped_key_is_known_to_its_model() -> None:
         written = [key.path for key in configuration_keys.keys(ROOT / "configs" / f"{name}.yaml")]
         assert written
         assert [path for path in written if not configuration_keys.allowed(schema, path)] == []
-
-
-def test_a_command_is_there_with_what_its_help_says() -> None:
-    app, group = typer.Typer(), typer.Typer()
-    app.add_typer(group, name="arm")
-
-    @app.command()
-    def demo(seed: Annotated[int, typer.Option(help="Which world|s.")] = 3) -> None:
-        """Bring the tool *there*."""
-
-    @group.command(epilog="Example: longreach arm new a_b")
-    def new(name: Annotated[str, typer.Argument(metavar="NAME")]) -> None:
-        """Make one."""
-
-    page = reference.commands_page(app)
-    assert [line for line in page.splitlines() if line.startswith("#")] == [
-        "## longreach demo",
-        "## longreach arm new",
-    ]
-    assert "Bring the tool \\*there\\*." in page
-    assert "| `--seed <int>` | Which world\\|s.  \\[default: 3] |" in page
-    assert "```\nlongreach arm new a_b\n```" in page
-
-
-def test_every_example_is_shown() -> None:
-    page = extension.gallery()
-    for path in (ROOT / "examples" / "python").glob("*.py"):
-        assert f"## {path.name}" in page
-        assert path.read_text(encoding="utf-8") in page
 
 
 def test_every_page_is_in_the_navigation() -> None:
