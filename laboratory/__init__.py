@@ -1,1 +1,1 @@
-"""The laboratory: seeded experiments, campaigns, validation and soak, a distribution of its own."""
+"""The laboratory: seeded experiments and campaigns, a distribution of its own."""

@@ -12,10 +12,10 @@ import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+from orb_slam3 import OrbSlam3, vocabulary
 from scipy.spatial.transform import Rotation
 
 from foundation.configuration import load, parse_overrides
-from laboratory.experiments.odometry.orb_slam3 import OrbSlam3, vocabulary
 from protocol.errors import LinkLost
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration

@@ -1,8 +1,6 @@
 """`longreach doctor`: shows every check with its verdict, and what to do about what is wrong."""
 
 from collections.abc import Iterator
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -89,7 +87,7 @@ def _peers_check(settings: Settings) -> HealthCheck:
 
 
 _OURS = "longreach"
-_KINDS = ("program", "disturbance", "experiment")
+_KINDS = ("program", "disturbance")
 
 
 class Runnable(NamedTuple):
@@ -104,7 +102,7 @@ class Runnable(NamedTuple):
 
 def list_programs(json_file: Path | None) -> bool:
     """Whether all that installed packages add can be run; prints it beside ours."""
-    rows = [*_programs(), *_disturbances(), *_experiments()]
+    rows = [*_programs(), *_disturbances()]
     for kind in _KINDS:
         fine = [(row.name, row.shows, row.package) for row in rows if row.kind == kind and not row.trouble]
         out.print(words(f"{kind}s", ("name", "what it does", "of"), fine))
@@ -129,24 +127,6 @@ def _disturbances() -> Iterator[Runnable]:
         told = (kind.__doc__ or "").partition("\n")[0]
         yield Runnable("disturbance", name, told, _OURS if name in FAULTS else packages[name])
     yield from _left_out("disturbance", installed_faults())
-
-
-def _experiments() -> Iterator[Runnable]:
-    """Those of the laboratory, where it is installed. Ours are not loaded: that they can be is tested."""
-    if find_spec("laboratory") is None:
-        return
-    known = import_module("laboratory.experiments.catalogue")
-    for name, entry in known.OURS.items():
-        yield Runnable("experiment", name, f"{entry.shows} ({entry.cost} a run)", _OURS)
-    for one in known.added():
-        row = Runnable("experiment", one.name, "", one.package)
-        if one.taken:
-            yield row._replace(trouble=f"extension.name_taken: {one.taken}")
-            continue
-        try:
-            yield row._replace(shows=known.catalogue()[one.name].load().title)
-        except ConfigurationError as error:
-            yield row._replace(trouble=f"{error.cause}: {error}")
 
 
 def _left_out(kind: str, extensions: Extensions[Any]) -> Iterator[Runnable]:

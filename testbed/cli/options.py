@@ -72,9 +72,6 @@ JsonFile = Annotated[
 ]
 
 DEFAULT_CONFIG = usual_configs()
-FreePorts = Annotated[
-    bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
-]
 
 DEFAULT_RUNS = Path("runs")
 
@@ -188,27 +185,3 @@ class OdometryOptions(NamedTuple):
             "carries the camera: tells its motion from that of what moves before it."
         ),
     ] = None
-
-
-class IdentifyOptions(NamedTuple):
-    """What is made of a recording, or a recording of what."""
-
-    make: Annotated[
-        bool, typer.Option("--record", help="Write RECORDING: the emulator under the usual excitation.")
-    ] = False
-    plan: Annotated[
-        bool,
-        typer.Option("--plan", help="Tell which excitation gives most, beyond RECORDING if it is there."),
-    ] = False
-    plan_s: Annotated[float, typer.Option(min=1.0, max=120.0, help="How long the plan may be.")] = 13.0
-    plant_file: Annotated[
-        Path, typer.Option("--out", help="Where the identified plant goes.", callback=writable)
-    ] = Path("plant_identified.yaml")
-    unsure: Annotated[
-        bool,
-        typer.Option(
-            "--unsure",
-            help="Write the plant also where what is left is not noise: without σ, which do not hold.",
-        ),
-    ] = False
-    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes that run the plant.")] = 2

@@ -31,14 +31,10 @@ class Later(NamedTuple):
     example: str | None = None
 
     @property
-    def package(self) -> str:
-        """The top-level package that it comes from."""
-        return self.place.partition(".")[0]
-
-    @property
-    def is_installed(self) -> bool:
-        """Whether that package is there: the suites and the laboratory are distributions of their own."""
-        return find_spec(self.package) is not None
+    def missing_package(self) -> str | None:
+        """Its top-level package where that is not installed: the suites are a distribution of their own."""
+        package = self.place.partition(".")[0]
+        return package if find_spec(package) is None else None
 
     def load(self) -> Any:
         """The command itself."""
@@ -173,13 +169,18 @@ def _arm_option() -> Any:
 
 FAILED = 2
 _TYPED = "longreach.typed"  # the words after `longreach`, in the context's notes
+_COMMANDS = "longreach.commands"  # entry points: name of a command = its module
+
+
+def _commands_of_others() -> dict[str, Later]:
+    """Commands of installed distributions, such as the laboratory's `experiment`, by name."""
+    points = importlib.metadata.entry_points(group=_COMMANDS)
+    return {one.name: Later(one.value, one.dist.metadata["Summary"] if one.dist else "") for one in points}
+
+
+_ABSENT = {"experiment": "laboratory"}  # command → the distribution and folder that has it
 LATER = {
-    "experiment": Later("laboratory.command", "Seeded experiments that write tables."),
-    "soak": Later(
-        "laboratory.command:soak",
-        "Run all three services at rest and in motion, polled and followed; exit status 0 within all limits.",
-        "Example: longreach soak --minutes 60 --faults --json soak.json",
-    ),
+    **_commands_of_others(),
     "runs": Later("testbed.cli.runs", "Runs that were kept."),
     "recording": Later(
         "testbed.cli.recording", "What is in a recording, whether it is whole, what can be made of it."
@@ -218,10 +219,10 @@ PANELS = {  # in the order of use
     "Run": ("demo", "up", "experiment", "programs", "doctor"),
     "See what came out": ("runs", "recording", "replay"),
     "Your arm, camera and machine": (
-        "init", "config", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers",
+        "init", "config", "arm", "target", "camera", "hand-eye", "commission", "markers",
         "odometry",
     ),
-    "Put to the test": ("soak", "conformance", "sniff", "proxy", "plc"),
+    "Put to the test": ("conformance", "sniff", "proxy", "plc"),
     "For other tools": ("export", "picture", "token"),
 }  # fmt: skip
 _PANEL = {name: panel for panel, names in PANELS.items() for name in names}
@@ -237,7 +238,7 @@ _CAUSES = {  # of what the command line itself refuses
 class RootGroup(LaterGroup):
     """The group of all commands."""
 
-    later = MappingProxyType({name: one.told for name, one in LATER.items() if one.is_installed})
+    later = MappingProxyType({name: one.told for name, one in LATER.items() if one.missing_package is None})
 
     def load(self, name: str) -> Any:
         """The command or group called ``name``."""
@@ -249,8 +250,8 @@ class RootGroup(LaterGroup):
         Raises ConfigurationError (``extension.not_installed``) for one of a distribution that is absent.
         """
         ctx.meta[_TYPED] = list(args)
-        if args[0] in LATER and not LATER[args[0]].is_installed:
-            package = LATER[args[0]].package
+        package = _ABSENT.get(args[0]) if args[0] not in LATER else LATER[args[0]].missing_package
+        if package is not None:
             why = f"longreach {args[0]} is of the package {package}, which is not installed; in a checkout: "
             raise ConfigurationError("extension.not_installed", f"{why}pip install ./{package}")
         return super().resolve_command(ctx, args)

@@ -14,7 +14,7 @@ from foundation.recording.decoding import SESSION_VARIABLE, session_entries
 from foundation.recording.messages import DirectRecording
 from nominal_arm.dimensions import boom_dimensions, dimensions
 from plant_emulator.core.camera.scene import Scene
-from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
+from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.simulated_measurements import SightMaker, camera_eyes, eyes_with
@@ -25,7 +25,6 @@ from vision_pc.application.application import VisionApplication
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.eyes import FrameEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
-from vision_pc.application.hand_eye.sensing import ended_in_fault
 from vision_pc.application.hand_eye.steps import SessionStore, StartCheck
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
@@ -273,25 +272,6 @@ def start(rig: GuidedRig, name: str, seed: int) -> StartCheck:
     check = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
     rig.run(rig.guided.sample(quiet))
     return check
-
-
-def take_all(rig: GuidedRig, informative: bool) -> int:
-    """Samples until the session is complete, each at the pose proposed; how many faults interrupted it."""
-    spoiled = faults = 0
-    while not rig.guided.session.complete:
-        try:
-            rig.run(rig.guided.next_pose(quiet, informative))
-            rig.run(rig.guided.sample(quiet))
-        except (MeasurementFailed, MotionUnsettled):  # a hidden marker, an arm that swings: the next pose
-            spoiled += 1
-            if spoiled > _PATIENCE:
-                raise
-        except RequestRefused as error:
-            faults += 1
-            if not ended_in_fault(error) or faults > _PATIENCE:
-                raise
-            recover(rig)
-    return faults
 
 
 def recover(rig: GuidedRig) -> None:

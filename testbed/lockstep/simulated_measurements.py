@@ -1,8 +1,8 @@
 """Eyes without pictures, for long campaigns: the true camera's geometry with the errors that pictures make.
 
 What is drawn at random is only what pictures add: noise and bias of marker corners, noise of tracked points,
-depths of the map's points, failures. All of it was measured from rendered pictures (``longreach experiment
-eyes-measure`` writes ``configs/eye_model.yaml``). Everything else is exact or vision's own: true lenses,
+depths of the map's points, failures. All of it was measured from rendered pictures:
+``configs/eye_model.yaml``. Everything else is exact or vision's own: true lenses,
 rectification, prints and what hides what on one side; poses, covariances, offset and looks on the other.
 """
 

@@ -256,10 +256,8 @@ LONG: Mapping[str, Interrupted] = MappingProxyType(
     {
         "demo": _RUN,
         "up": _SERVED,
-        "soak": _RUN,
         "experiment": _ROWS,
         "commission": Interrupted("every finished joint, in the session's directory", "goes on from there"),
-        "identify": _NOTHING,
         "replay": _NOTHING,
         "camera calibrate": _NOTHING,
         "camera emulate": _NOTHING,

@@ -19,7 +19,6 @@ from pyModbusTCP.client import ModbusClient
 from controller.config import PlantLinkConfig
 from controller.shell.plant_link import PlantLink
 from foundation.event_log import EventLog
-from laboratory.experiments.robustness.controller_kills import insist, trial_rig
 from plant_emulator.shell.coupler import Coupler
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
@@ -37,6 +36,7 @@ from testbed.realtime.live_client import LiveClient
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 from tests.controller.obedient_plant import START_DEG, counts
 from tests.integration.flood import flooding
+from tests.support.killed_controller import insist, trial_rig
 from tests.support.paths import CONFIGS, ROOT
 
 pytestmark = pytest.mark.bench

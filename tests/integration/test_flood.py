@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from laboratory.experiments.robustness.controller_kills import KillRig, insist, trial_rig
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import State
 from tests.integration.flood import flooding
+from tests.support.killed_controller import KillRig, insist, trial_rig
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.realtime

@@ -1,12 +1,12 @@
 """Faults 35 and 36: the controller killed or suspended within a motion, three real processes, judged by the
-plant's recording and registers. `longreach experiment robustness --method controller-kills` does it often.
+plant's recording and registers.
 """
 
 from typing import Any
 
 import pytest
 
-from laboratory.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
+from tests.support.killed_controller import KILL, SUSPEND_LONG, run_trials
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.realtime

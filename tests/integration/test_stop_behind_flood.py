@@ -13,9 +13,9 @@ import pytest
 from conformance.peer import Peer
 from conformance.reference.motion import moved
 from conformance.wire import NonceSource, Unsupported
-from laboratory.experiments.robustness.controller_kills import trial_rig
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, Command, ReferencePose, State
+from tests.support.killed_controller import trial_rig
 from tests.support.paths import CONFIGS
 
 FLOOD = 50_000

@@ -1,4 +1,4 @@
-"""A small installed package adds a program, a disturbance and an experiment; broken ones are left out."""
+"""A small installed package adds a program and a disturbance; broken ones are left out."""
 
 import json
 import re
@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 
 import longreach
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.experiments import catalogue
 from laboratory.experiments.positioning import programs
 from laboratory.experiments.positioning.programs import ProgramsSettings, programs_tasks
 from plant_emulator.core import layout as col
@@ -37,12 +36,7 @@ from vision_pc.shell.rest.api import create_app
 PAGE = page("how_to/install_your_own.md")
 (PYPROJECT,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 (MODULE,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-CACHES = (
-    installed_programs.installed_programs,
-    fault_desk.installed_faults,
-    catalogue.catalogue,
-    catalogue.added,
-)
+CACHES = (installed_programs.installed_programs, fault_desk.installed_faults)
 
 
 def entry_points(pyproject: str) -> str:
@@ -86,7 +80,6 @@ def broken(site: Path) -> Path:
         "disturbances": {"payload_drop": "other_crane:X", "not_one": "other_crane:X",
                          "plain": "other_crane:K",
                          "other_kind": "my_crane:SwingingLoad"},
-        "experiments": {"paper": "other_crane:X", "failing": "broken_crane:X", "none": "other_crane:X"},
     }  # fmt: skip
     text = "".join(
         f"[longreach.{group}]\n" + "".join(f"{name} = {place}\n" for name, place in some.items())
@@ -110,9 +103,7 @@ def test_what_a_package_adds_is_listed_with_ours(site: Path, tmp_path: Path) -> 
     assert status == 0
     assert rows["programs"]["nudge of my-crane"]["shows"] == "Move the tool up a little"
     assert rows["disturbances"]["swinging_load of my-crane"]["shows"].startswith("The load swings")
-    assert rows["experiments"]["swing of my-crane"]["shows"].startswith("how far the tool")
     assert {"look of longreach", "move of longreach"} <= set(rows["programs"])
-    assert len(rows["experiments"]) >= 13
 
 
 CAUSES = {
@@ -127,9 +118,6 @@ CAUSES = {
     ("disturbances", "not_one of other-crane"): "extension.wrong_type: wanted a class",
     ("disturbances", "plain of other-crane"): "extension.wrong_type: K is no plant_emulator.",
     ("disturbances", "other_kind of other-crane"): "extension.wrong_name: its kind is 'swinging_load'",
-    ("experiments", "paper of other-crane"): "extension.name_taken: Longreach's own",
-    ("experiments", "failing of other-crane"): "extension.not_loaded: broken_crane:X: ZeroDivisionError",
-    ("experiments", "none of other-crane"): "extension.wrong_type: wanted a laboratory.",
 }
 
 
@@ -147,12 +135,6 @@ def test_what_is_broken_or_clashes_is_told_and_the_rest_goes_on(broken: Path, tm
 def test_asked_for_by_name_a_broken_one_says_why(broken: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"no such kind; known: .*extension.wrong_type: not_one of"):
         fault_orders(["not_one"])
-    for name, cause in (("failing", "extension.not_loaded"), ("none", "extension.wrong_type")):
-        done = CliRunner().invoke(app, ["experiment", name])
-        assert done.exit_code == 2
-        assert done.stderr.startswith(f"longreach: {cause}: ")
-        assert len(done.stderr.splitlines()) == 1
-    assert catalogue.catalogue()["paper"] == catalogue.OURS["paper"]
 
 
 @pytest.mark.slow("pip installs an extension")
@@ -291,11 +273,3 @@ def test_rows_are_evidence_of_the_package_s_sources(site: Path, monkeypatch: pyt
     assert "sources of nudge" not in ours[0]
     assert "looks" in ours[0]
     assert own[0]["sources of nudge"] == "hash of my_crane"
-
-
-def test_its_experiment_is_run_judged_and_resumed(site: Path, tmp_path: Path) -> None:
-    words = ["experiment", "swing", "--out", str(tmp_path / "rows"), "--config-dir", str(CONFIGS)]
-    for reused in (0, 2):
-        done = CliRunner().invoke(app, words)
-        assert done.exit_code == 0, done.output
-        assert f"{reused} rows reused" in " ".join(done.output.split())

@@ -83,7 +83,7 @@ def test_the_laboratory_is_not_in_it_and_its_commands_say_how_to_get_it(installe
     assert not (installed / "laboratory").exists()
     assert not (installed / "tools").exists()
     helped = run(installed, "-c", _WITHOUT_LABORATORY.format(["--help"]))
-    assert "soak" not in helped
+    assert "that write tables" not in helped
     assert "demo" in helped
     run(installed, "-c", _WITHOUT_LABORATORY.format(["programs"]))
     with pytest.raises(AssertionError, match=r"extension\.not_installed.*pip install \./laboratory"):

@@ -31,7 +31,6 @@ NUMERICAL = (
     "tests/vision_pc",
     "tests/testbed/lockstep",
     "tests/testbed/test_lockstep_repeats.py",
-    "tests/laboratory/experiments/test_odometry_matrix.py",
 )
 MARKS = "not realtime and not experiment and not bench and not docker"
 DISTURBANCES = ("1", "2", "3", "4", "5")

@@ -71,7 +71,7 @@ def draw_marker(picture: Array, eye: CameraModel, marker: Marker, samples: int =
     if x1 <= x0 or y1 <= y0:
         return
     dictionary = cv2.aruco.getPredefinedDictionary(marker.dictionary)
-    bits = cv2.aruco.generateImageMarker(dictionary, marker.marker_id, 7) > 127
+    bits = cv2.aruco.generateImageMarker(dictionary, marker.marker_id, dictionary.markerSize + 2) > 127
     X_AE = se3.inverse(marker.X_CA) @ eye.X_CE
     lens = np.concatenate([[eye.K[0, 0], eye.K[1, 1], eye.K[0, 2], eye.K[1, 2]], eye.distortion])
     _paint(picture[y0:y1, x0:x1], int(x0), int(y0), lens, X_AE, marker.size, half, bits, samples)
@@ -94,6 +94,7 @@ def _paint(
     Sheared, so that an edge along rows or columns meets samples² different places.
     """
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+    count = bits.shape[0]
     for i in range(patch.shape[0]):
         for j in range(patch.shape[1]):
             grey = cover = 0.0
@@ -116,8 +117,9 @@ def _paint(
                     if abs(along) > half or abs(up) > half:
                         continue
                     cover += 1.0
-                    column, row = math.floor((along / size + 0.5) * 7), math.floor((0.5 - up / size) * 7)
-                    inside = 0 <= column < 7 and 0 <= row < 7
+                    column = math.floor((along / size + 0.5) * count)
+                    row = math.floor((0.5 - up / size) * count)
+                    inside = 0 <= column < count and 0 <= row < count
                     grey += BLACK if inside and not bits[row, column] else WHITE
             share = cover / samples**2
             patch[i, j] = patch[i, j] * (1.0 - share) + grey / samples**2

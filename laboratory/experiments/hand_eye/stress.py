@@ -217,7 +217,7 @@ def stress_verdict(done: Stressed) -> list[Check]:
 
 
 STRESS = Experiment(
-    name="hand-eye-stress",
+    name="hua-stress",
     title="Two bad samples of fifteen, and rotations under 5°, with every method.",
     settings=NoSettings,
     row=StressBlock,

@@ -1,4 +1,4 @@
-"""`longreach experiment targets --method hole-drives`: drawn machines and drill holes, one look each."""
+"""`longreach experiment hole-drives`: drawn machines and drill holes, one look each."""
 
 import contextlib
 from collections.abc import Sequence

@@ -230,7 +230,7 @@ def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
 
 def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
     root = Path(campaign.__file__).parents[2]
-    module = "laboratory.experiments.robustness.stream_cuts"
+    module = "laboratory.experiments.robustness.parking"
     found = imported_sources(module, {name: root / name for name in PACKAGES})
     loading = (
         f"import sys, {module}\n"

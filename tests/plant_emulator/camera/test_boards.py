@@ -9,11 +9,12 @@ from pydantic import ValidationError
 
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.config.surroundings import AnyBoardConfig, CabinetConfig
-from plant_emulator.core.camera.cabinet import board_points, board_pose, cabinet_front
+from plant_emulator.core.camera.cabinet import board_pose, cabinet_front
 from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
+from tests.plant_emulator.camera.board_points import board_points
 from tests.plant_emulator.camera.camera_world import scene_config
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.marker_edges import refine

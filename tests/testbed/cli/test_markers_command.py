@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
-from vision_pc.core.perception.picture_markers import found_markers
+from vision_pc.core.perception.picture_markers import search
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
@@ -39,7 +39,7 @@ def corners(x: float, y: float, side: float) -> Array:
 
 def test_corners_are_as_good_as_they_say_and_small_markers_are_kept() -> None:
     places = {3: (40.25, 30.5, 39.0), 7: (150.5, 60.25, 13.5)}
-    found = found_markers(picture(places), "DICT_4X4_1000")
+    found = search(picture(places), "DICT_4X4_1000").markers
     assert [marker.number for marker in found] == [3, 7]
     assert [marker.method for marker in found] == ["cells", "cells"]
     assert 0.0 < found[0].std_px < found[1].std_px < 0.2
@@ -47,10 +47,10 @@ def test_corners_are_as_good_as_they_say_and_small_markers_are_kept() -> None:
         errors = marker.corners - corners(*places[marker.number])
         assert np.abs(errors).max() < 4.0 * marker.std_px
         assert marker.side_px == pytest.approx(places[marker.number][2], abs=0.5)
-    assert [marker.number for marker in found_markers(picture(places), "DICT_4X4_1000", frozenset({7}))] == [
+    assert [marker.number for marker in search(picture(places), "DICT_4X4_1000", frozenset({7})).markers] == [
         7
     ]
-    too_small = found_markers(picture({7: (150.5, 60.25, 7.5)}), "DICT_4X4_1000")
+    too_small = search(picture({7: (150.5, 60.25, 7.5)}), "DICT_4X4_1000").markers
     assert too_small == []
 
 

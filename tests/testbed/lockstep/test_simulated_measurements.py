@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from foundation.configuration import merged
-from laboratory.campaigns.rows import typed
-from laboratory.experiments.positioning.eyes_measure import MeasuredRow, parameters
 from plant_emulator.core.camera.exposures import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
@@ -196,25 +194,6 @@ def test_the_shipped_parameters_load_and_a_wrong_file_is_refused(tmp_path: Path)
     )
     with pytest.raises(ConfigurationError, match="missed_share"):
         load_eye_model(tmp_path)
-
-
-def test_parameters_are_recovered_from_rows_that_the_model_itself_would_give() -> None:
-    noise_px, map_px, known = 0.04, 0.06, 0.1
-    row = {
-        "corner_noise2": 0.02**2, "corner_bias2": 0.01**2, "corner_places": 50,
-        "markers_expected": 200, "markers_missed": 3, "frames": 100, "frames_lost": 1, "points": 210.0,
-        "exact_jitter2": 1e-11, "noise_jitter2": 1e-9 + 1e-11,
-        "pixels_jitter2": 1e-9 * (noise_px / known) ** 2 + 1e-11,
-        "exact_error2": 1e-7, "noise_error2": 1e-7 + 4e-8, "map_error2": 1e-7 + 9e-8,
-        "pixels_error2": 1e-7 + 4e-8 * (noise_px / known) ** 2 + 9e-8 * (map_px / known) ** 2,
-    }  # fmt: skip
-    failed = typed(MeasuredRow, {"seed": 2, "failure": "measurement.tool_not_seen: none"})
-    found = parameters([typed(MeasuredRow, row), failed])
-    assert found["tracking"]["noise_px"] == pytest.approx(noise_px, abs=1e-4)
-    assert found["tracking"]["map_px"] == pytest.approx(map_px, abs=1e-4)
-    assert found["corners"] == {"noise_px": 0.02, "bias_px": 0.01, "missed_share": 0.015}
-    with pytest.raises(MeasurementFailed):
-        parameters([failed])
 
 
 def test_odometry_is_lost_behind_what_passes_and_finds_its_keyframe_again() -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 
 from testbed.cli.main import app
 from vision_pc.config.choices import Detector
-from vision_pc.core.perception.picture_markers import found_markers
+from vision_pc.core.perception.picture_markers import search
 from vision_pc.core.perception.zhang_intrinsics import (
     Charuco,
     Checkerboard,
@@ -89,7 +89,7 @@ def test_a_marker_has_its_side_and_its_modules_and_is_found(tmp_path: Path, dict
         assert height == pytest.approx(1.0, abs=0.005)
         black[round(y), round(x) : round(x + width)] = True
     assert (black == expected).all()
-    seen = found_markers(raster(size, [cells, *rulers]), dictionary)
+    seen = search(raster(size, [cells, *rulers]), dictionary).markers
     assert [marker.number for marker in seen] == [582]
     where = (seen[0].corners + 0.5) / _PER_MM
     square = corner + 56.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])

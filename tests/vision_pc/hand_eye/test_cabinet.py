@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
-from plant_emulator.core.camera.cabinet import board_points, board_pose
+from plant_emulator.core.camera.cabinet import board_pose
 from protocol.errors import MeasurementFailed
+from tests.plant_emulator.camera.board_points import board_points
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, StillRig, still_settings
 from vision_pc.application.hand_eye.steps import load_drawing
 from vision_pc.config.vision import VisionConfig

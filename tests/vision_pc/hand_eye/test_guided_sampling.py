@@ -1,4 +1,4 @@
-"""Where to sample next: bounds kept, information maximised, refusals learned from; the experiment's tally."""
+"""Where to sample next: bounds kept, information maximised, refusals learned from."""
 
 import math
 from typing import NamedTuple
@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from laboratory.experiments.hand_eye.guided_experiment import needed
 from protocol.errors import MeasurementFailed
 from testbed.cli.hand_eye_files import run_drawing
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
@@ -158,13 +157,6 @@ def test_the_hidden_regions_are_those_of_both_eyes() -> None:
     assert isinstance(AROUND, Surroundings)
     (left, *_), (right, *_) = AROUND.hidden
     assert left[0] - right[0] == pytest.approx(530.0 * 0.12 / 0.4, abs=2.0)
-
-
-def test_samples_needed_are_counted_to_the_last_relapse() -> None:
-    assert needed([4.0, 2.0, 3.5, 2.9, 2.0]) == 6
-    assert needed([2.0, 2.0]) == 3
-    assert needed([None, 2.0, None]) is None
-    assert needed([2.0, 3.0]) is None
 
 
 def test_the_cabinets_drawing_is_the_one_that_is_printed(tmp_path: object) -> None:

@@ -2,15 +2,15 @@
 `make bench` prints the figures.
 """
 
+import runpy
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from laboratory.experiments.odometry import orb_slam3
-from laboratory.experiments.odometry.orb_slam3 import PeerTrack
+from tests.support.paths import ROOT
 from tests.vision_pc.odometry.test_odometry import pair_at, poses
 from tests.vision_pc.perception.test_markers import object_markers
 from tests.vision_pc.rendering import Marker, facing, wall_texture
@@ -26,6 +26,13 @@ pytestmark = [pytest.mark.usefixtures("one_core"), pytest.mark.bench, pytest.mar
 FRAMES = 60
 OFFSET_PX = (-0.3, 0.2)
 LOOKS = 8  # pairs at rest before the path, from whose markers the right eye's offset is learnt
+
+
+class Track(NamedTuple):
+    """The poses that were valid, and the processor time of every frame, all threads, s."""
+
+    poses: list[OdometryPose]
+    spent_s: list[float]
 
 
 class Case(NamedTuple):
@@ -49,11 +56,18 @@ CASES = [
 
 
 @pytest.fixture(scope="module")
-def words(camera: CameraCalibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def peer_module() -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / "examples/slam/orb_slam3.py"))
+
+
+@pytest.fixture(scope="module")
+def words(
+    camera: CameraCalibration, peer_module: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """ORB-SLAM3's vocabulary, grown on another wall than those that are followed."""
     path = tmp_path_factory.mktemp("orb") / "words.txt"
     wall = wall_texture(9, 22.0)
-    orb_slam3.vocabulary([pair_at(camera, wall, X).left for X in list(poses(FRAMES))[::4]], path)
+    peer_module["vocabulary"]([pair_at(camera, wall, X).left for X in list(poses(FRAMES))[::4]], path)
     return path
 
 
@@ -61,6 +75,7 @@ def words(camera: CameraCalibration, tmp_path_factory: pytest.TempPathFactory) -
 def test_ahead_of_orb_slam3(
     camera: CameraCalibration,
     config: VisionConfig,
+    peer_module: dict[str, Any],
     words: Path,
     case: Case,
     capfd: pytest.CaptureFixture[str],
@@ -82,7 +97,7 @@ def test_ahead_of_orb_slam3(
             told, config.model_copy(update={"odometry": left_only}), pairs
         ),
     }
-    peer = one_map(orb_slam3.follow(camera, words, pairs))
+    peer = one_map(followed_by_peer(peer_module["OrbSlam3"](camera, words), pairs))
     capfd.readouterr()  # what the peer tells of itself
     with capfd.disabled():
         print(
@@ -122,7 +137,7 @@ def learnt(pairs: list[StereoPair], camera: CameraCalibration, config: VisionCon
     return intrinsics.with_offset(camera, seen.offset.x_px, seen.offset.y_px)
 
 
-def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPair]) -> PeerTrack:
+def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPair]) -> Track:
     odometry, found, spent = StereoOdometry(camera, config.odometry), [], []
     for pair in pairs:
         began = time.process_time()
@@ -130,10 +145,24 @@ def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPa
         spent.append(time.process_time() - began)
         if pose is not None:
             found.append(pose)
-    return PeerTrack(found, spent)
+    return Track(found, spent)
 
 
-def one_map(followed: PeerTrack) -> PeerTrack:
+def followed_by_peer(slam: Any, pairs: list[StereoPair]) -> Track:
+    """ORB-SLAM3's poses of rectified ``pairs``, at 15 pairs a second."""
+    poses, spent = [], []
+    for k, pair in enumerate(pairs):
+        began = time.process_time()
+        pose = slam.track(pair, k / 15.0)
+        time.sleep(0.05)  # its mapping runs beside, as it would between two pairs
+        spent.append(time.process_time() - began)
+        if pose is not None:
+            poses.append(pose._replace(frame_id=k))
+    slam.shutdown()
+    return Track(poses, spent)
+
+
+def one_map(followed: Track) -> Track:
     """The longest stretch without a loss: after one the peer begins a map of its own, elsewhere."""
     ids = [pose.frame_id for pose in followed.poses]
     stretches = np.split(np.arange(len(ids)), 1 + np.flatnonzero(np.diff(ids) != 1))
@@ -141,7 +170,7 @@ def one_map(followed: PeerTrack) -> PeerTrack:
     return followed._replace(poses=[followed.poses[k] for k in longest])
 
 
-def milliseconds(followed: PeerTrack) -> float:
+def milliseconds(followed: Track) -> float:
     return 1e3 * float(np.median(followed.spent_s))
 
 

@@ -9,8 +9,8 @@ import cv2
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from laboratory.experiments.hand_eye import real_sets
 from protocol.errors import RequestRefused
+from tests.support import recorded_sets
 from tests.vision_pc.perception.test_watch import World
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.odometry import StereoOdometry
@@ -40,7 +40,7 @@ def test_every_marker_of_moveits_pictures_is_found_and_refined(
 ) -> None:
     """Real photographs; they are no part of the repository, and their absence is told."""
     try:
-        file = real_sets.data_directory() / "moveit" / name
+        file = recorded_sets.data_directory() / "moveit" / name
     except RequestRefused as absent:
         pytest.skip(str(absent))
     picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)

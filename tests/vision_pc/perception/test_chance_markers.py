@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from laboratory.experiments.hand_eye.real_sets import checkerboard_pictures
 from protocol.errors import RequestRefused
-from vision_pc.core.perception.picture_markers import PictureMarker, found_markers, looks_right
+from tests.support.recorded_sets import checkerboard_pictures
+from vision_pc.core.perception.picture_markers import PictureMarker, looks_right, search
 from vision_pc.core.types import Image
 
 BOOK = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
@@ -46,4 +46,4 @@ def test_pictures_of_an_office_hold_no_marker() -> None:
     except RequestRefused:
         pytest.skip("LONGREACH_DATA has no pictures of OpenCV")
     for place in (("left", "left14"), ("right", "right08")):
-        assert found_markers(office[place], "DICT_4X4_1000") == []
+        assert search(office[place], "DICT_4X4_1000").markers == []

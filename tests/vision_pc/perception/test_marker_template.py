@@ -1,13 +1,17 @@
 """Markers fitted with all of their cells: exact corners, honest σ, numbers that OpenCV does not read."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 import pytest
 
-from laboratory.experiments.markers.rendered_tags import MarkerAspect, TagPicture, tags
+from tests.vision_pc.rendering import Marker, draw_marker, exact_corners, facing, finish
+from vision_pc.core import se3
 from vision_pc.core.perception.marker_template import TemplateFit, fit
-from vision_pc.core.perception.picture_markers import found_markers
+from vision_pc.core.perception.picture_markers import search
 from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraModel, Image
 
 FAMILY = "DICT_APRILTAG_36h11"
 BOOK = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -18,8 +22,38 @@ def cells_of(number: int) -> Array:
     return (BOOK.generateImageMarker(number, 8) > 0).astype(np.float64)
 
 
+class MarkerAspect(NamedTuple):
+    """How markers are seen: side in px as if from the front, angle off the normal, σ of blur and noise."""
+
+    side_px: float = 40.0
+    angle_deg: float = 20.0
+    blur_px: float = 0.7
+    noise_grey: float = 2.0
+
+
+class TagPicture(NamedTuple):
+    """A picture, and the true corners (4, 2) px of its markers by number, in ArUco's order."""
+
+    image: Image
+    corners: dict[int, Array]
+
+
 def picture_of(aspect: MarkerAspect) -> TagPicture:
-    return tags(FAMILY, aspect, np.random.default_rng(11))
+    """18 markers in 6 × 3 tiles of a 720p picture; each is looked at along the line to its middle."""
+    rng, corners = np.random.default_rng(11), {}
+    picture = np.full((720, 1280), 110.0)
+    for k, number in enumerate(rng.permutation(587)[:18].tolist()):
+        K = np.array([[530.0, 0.0, 213.3 * (k % 6 + 0.5)], [0.0, 530.0, 240.0 * (k // 6 + 0.5)], [0, 0, 1]])
+        K[:2, 2] += rng.uniform(-20.0, 20.0, 2)
+        eye = CameraModel(K, np.zeros(5), np.eye(4))
+        axis, turn = rng.uniform(0.0, 360.0, 2)
+        tilt = aspect.angle_deg * np.array([np.cos(np.radians(axis)), np.sin(np.radians(axis)), 0.0])
+        X = facing(0.0, 0.0, 530.0 / aspect.side_px, tuple(tilt))
+        X = X @ se3.transform(se3.exp_so3([0.0, 0.0, np.radians(turn)]), np.zeros(3))
+        marker = Marker(number, 1.0, X, 0.125, cv2.aruco.DICT_APRILTAG_36h11)
+        draw_marker(picture, eye, marker)
+        corners[number] = exact_corners(eye, marker)
+    return TagPicture(finish(picture, rng, aspect.noise_grey, aspect.blur_px), corners)
 
 
 def fitted(picture: TagPicture, known: bool) -> list[tuple[int, Array, TemplateFit]]:
@@ -88,7 +122,7 @@ def test_what_is_no_square_in_the_picture_is_no_marker(corners: Array, known: bo
 def test_markers_that_opencv_sees_and_cannot_read_are_read() -> None:
     picture = picture_of(MarkerAspect(14.0))
     _, ids, _ = cv2.aruco.ArucoDetector(BOOK).detectMarkers(picture.image)
-    found = found_markers(picture.image, FAMILY)
+    found = search(picture.image, FAMILY).markers
     assert {marker.number for marker in found} <= picture.corners.keys()
     assert len(ids) + 3 < len(found)
     for marker in found:
@@ -98,5 +132,5 @@ def test_markers_that_opencv_sees_and_cannot_read_are_read() -> None:
 
 def test_only_wanted_numbers_are_told() -> None:
     picture = picture_of(MarkerAspect(14.0))
-    expected = frozenset(list(picture.corners)[:2])
-    assert {marker.number for marker in found_markers(picture.image, FAMILY, expected)} == expected
+    expected = frozenset([marker.number for marker in search(picture.image, FAMILY).markers][:2])
+    assert {marker.number for marker in search(picture.image, FAMILY, expected).markers} == expected

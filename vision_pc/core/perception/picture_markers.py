@@ -63,13 +63,6 @@ class MarkerSearch(NamedTuple):
     squares: int
 
 
-def found_markers(
-    image: Image, dictionary: str, requested: frozenset[int] = frozenset(), window_px: int = 13
-) -> list[PictureMarker]:
-    """The markers that ``search`` finds."""
-    return search(image, dictionary, requested, window_px).markers
-
-
 def search(
     image: Image, dictionary: str, requested: frozenset[int] = frozenset(), window_px: int = 13
 ) -> MarkerSearch:

@@ -1,4 +1,4 @@
-"""Drawn walls are what they say, and the verdict over their rows counts what was not told."""
+"""Hole drives: the arm can be at every drawn hole, and what was not reached counts as outside."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,7 +7,6 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-import typer
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
@@ -15,7 +14,6 @@ from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Finished
 from laboratory.campaigns.rows import typed
 from laboratory.experiments.targets import hole_drives
-from laboratory.experiments.targets.drawn_walls import Aspect, drawn_wall
 from laboratory.experiments.targets.hole_drives import (
     HoleDriveRow,
     HoleDriveSettings,
@@ -25,118 +23,14 @@ from laboratory.experiments.targets.hole_drives import (
     hole_drive_verdict,
     hole_scenario,
 )
-from laboratory.experiments.targets.one_look import (
-    TARGETS,
-    TargetSceneSettings,
-    target_table,
-    target_tasks,
-    target_verdict,
-)
-from laboratory.experiments.targets.one_target import TargetRow, one_target, target_error
 from plant_emulator.core.camera.scene import R_WO_FACING_ARM
 from plant_emulator.core.camera.wall.bores import hole_places
 from tests.support.paths import CONFIGS
 from vision_pc.core import se3
-from vision_pc.core.perception import intrinsics
-from vision_pc.core.targets.measuring import at_click
 from vision_pc.core.targets.sighting import Click
-from vision_pc.core.targets.target import TargetObservation, TargetRefused
+from vision_pc.core.targets.target import TargetRefused
 
 REQUEST = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=7)
-
-
-def row(**cells: object) -> TargetRow:
-    usual = {
-        "row": "hole-1.0",
-        "seed": 1,
-        "visible": 4,
-        "found": 4,
-        "false": 0,
-        "refused": "",
-        "measure_ms": 9.0,
-    }
-    errors = {"lateral_mm": 0.2, "depth_mm": 1.0, "normal_deg": 0.5}
-    errors |= {"nees": 1.0, "nees_lateral": 1.0, "nees_depth": 1.0, "nees_normal": 1.0}
-    both = {f"{which}_{name}": value for which in ("seen", "known") for name, value in errors.items()}
-    return typed(TargetRow, usual | both | cells)
-
-
-def finished(rows: list[TargetRow]) -> Finished[TargetSceneSettings, TargetRow]:
-    return Finished(REQUEST, TargetSceneSettings(), (), rows, 0)
-
-
-def test_a_drawn_wall_is_true_where_it_says_and_what_is_told_of_it_is_near() -> None:
-    wall = drawn_wall(CONFIGS, 20, Aspect(1.0), {})
-    X = wall.aim
-    pixel = intrinsics.project(wall.known.camera.left, X[None, :3, 3])[0]
-    assert np.abs(pixel - wall.pixel).max() < 0.35  # of the ring's mean height, not the middle's
-    assert wall.whole[0]
-    assert np.linalg.norm(wall.places[0] - X[:3, 3]) < 1e-9
-    seen = at_click(wall.known, Click("left", wall.pixel, "hole"))
-    error = target_error(seen, X, seen.covariance)
-    assert error.lateral_mm < 0.8
-    assert abs(error.depth_mm) < 2.0
-    assert error.normal_deg < 3.0
-
-
-def test_errors_are_told_across_along_and_of_the_normal() -> None:
-    wall_X = se3.transform(np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, 1.0])
-    seen = typed_target(se3.transform(np.diag([1.0, -1.0, -1.0]), [0.003, 0.004, 1.002]))
-    covariance = np.diag([9e-6, 16e-6, 4e-6, 1e-4, 1e-4, 1e-6])
-    error = target_error(seen, wall_X, covariance)
-    assert error.lateral_mm == pytest.approx(5.0)
-    assert error.depth_mm == pytest.approx(2.0)
-    assert (error.nees_lateral, error.nees_depth) == (pytest.approx(1.0), pytest.approx(1.0))
-    assert error.nees_normal == pytest.approx(0.0)
-    assert error.nees == pytest.approx(3.0 / 5.0)
-
-
-def typed_target(X: se3.Array) -> TargetObservation:
-    return TargetObservation("hole", X, np.eye(6), np.zeros((6, 6)), 1.0, np.zeros((4, 2)), 0.045)
-
-
-def test_the_same_seeds_make_every_row_and_an_unknown_row_is_refused() -> None:
-    tasks = target_tasks(REQUEST, TargetSceneSettings(only=["bare", "hole-2.0"]))
-    assert [task["key"] for task in tasks] == ["bare-7", "bare-8", "hole-2.0-7", "hole-2.0-8"]
-    with pytest.raises(typer.BadParameter, match="no row 'moon'"):
-        target_tasks(REQUEST, TargetSceneSettings(only=["moon"]))
-
-
-def test_what_was_refused_counts_as_not_told_and_a_wrong_answer_fails() -> None:
-    good = [row() for _ in range(98)]
-    checks = {check.what: check for check in target_verdict(finished(good))}
-    assert all(check.met for check in checks.values())
-    refused = typed(TargetRow, {"row": "hole-1.0", "refused": "target.not_round", "visible": 4, "found": 3,
-                                "false": 3, "measure_ms": 9.0})  # fmt: skip
-    checks = {check.what: check for check in target_verdict(finished([*good, refused, refused]))}
-    failed = {what for what, check in checks.items() if check.met is False}
-    assert failed == {"hole, 1 m: told", "false holes a picture, of 100"}
-    assert checks["hole, 1 m: found of 400 visible"].found == "0.995"
-    bare = [row(row="bare", wrong=False, refused="target.low_texture"), row(row="bare", wrong=True)]
-    checks = {check.what: check for check in target_verdict(finished(bare))}
-    assert checks["click on a bare wall, 2: wrong answers"].met is False
-    assert target_table(finished([*good, refused]))[0].row_count == 1
-    assert not target_table(finished(bare))
-    assert TARGETS.runs == 200
-
-
-@pytest.mark.slow("walls are drawn")
-def test_what_must_be_refused_is_clicked_as_on_the_console_and_a_hole_there_is_wrong(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    board = {"row": "repetitive", "seed": 3000}
-    assert one_target(CONFIGS, board)["refused"] == "target.ambiguous"
-    at_a_hole = drawn_wall(CONFIGS, 20, Aspect(1.0), {})
-    hole = at_click(at_a_hole.known, Click("left", at_a_hole.pixel, "hole"))
-    clicked: list[Click] = []
-
-    def believing(_: object, click: Click) -> TargetObservation:
-        clicked.append(click)
-        return hole
-
-    monkeypatch.setattr("laboratory.experiments.targets.one_target.at_click", believing)
-    assert one_target(CONFIGS, board)["wrong"]
-    assert {click.kind for click in clicked} == {"auto"}
 
 
 @pytest.mark.parametrize(("seed", "holes"), [(45666, 1), (5023, 9)])

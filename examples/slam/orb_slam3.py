@@ -1,18 +1,12 @@
-"""ORB-SLAM3 as a peer, through `pyorbslam3` (GPL-3: no dependency, used where somebody installed it).
+"""ORB-SLAM3 through `pyorbslam3` (GPL-3: no dependency, used where somebody installed it).
 
 Its vocabulary is not in the wheel. Tracking without loops needs one only to bring descriptors of like kind
 together, so one is grown here from the same walls: hierarchical k-medians over ORB descriptors, in DBoW2's
 text form (Gálvez-López and Tardós 2012).
 """
 
-import importlib.util
-import pickle
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -61,18 +55,6 @@ Viewer.ViewpointF: 500.0
 """
 
 
-class PeerTrack(NamedTuple):
-    """The poses that were valid, and the processor time of every frame, all threads, s."""
-
-    poses: list[OdometryPose]
-    spent_s: list[float]
-
-
-def installed() -> bool:
-    """Whether the peer is there: `make bench` installs it."""
-    return importlib.util.find_spec("pyorbslam3") is not None
-
-
 def vocabulary(pictures: list[NDArray[np.uint8]], path: Path) -> None:
     """Write a vocabulary of the descriptors in ``pictures`` to ``path``."""
     orb = cv2.ORB.create(2000, fastThreshold=5)
@@ -113,22 +95,6 @@ def _nearest(descriptors: Descriptors, centres: Descriptors) -> NDArray[np.intp]
     return np.asarray(np.argmin(np.bitwise_count(descriptors[:, None] ^ centres[None]).sum(axis=2), axis=1))
 
 
-def follow_apart(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:
-    """The same in a process of its own: the peer keeps the first camera that a process tells it for ever."""
-    with tempfile.TemporaryDirectory() as directory:
-        given, found = Path(directory) / "given", Path(directory) / "found"
-        given.write_bytes(pickle.dumps((camera, words, pairs)))
-        asked = f"from {__name__} import answer; answer({str(given)!r}, {str(found)!r})"
-        subprocess.run([sys.executable, "-c", asked], check=True, stdout=subprocess.DEVNULL)
-        track: PeerTrack = pickle.loads(found.read_bytes())
-    return track
-
-
-def answer(given: str, found: str) -> None:
-    """Follow what ``follow_apart`` wrote to ``given``, and write the track to ``found``."""
-    Path(found).write_bytes(pickle.dumps(follow(*pickle.loads(Path(given).read_bytes()))))
-
-
 class OrbSlam3:
     """ORB-SLAM3 on rectified pairs, one a process: its first camera stays for ever."""
 
@@ -165,18 +131,3 @@ class OrbSlam3:
     def shutdown(self) -> None:
         """End its threads."""
         self._slam.shutdown()
-
-
-def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:
-    """ORB-SLAM3's poses of rectified ``pairs``, at 15 pairs a second."""
-    slam = OrbSlam3(camera, words)
-    poses, spent = [], []
-    for k, pair in enumerate(pairs):
-        began = time.process_time()
-        pose = slam.track(pair, k / 15.0)
-        time.sleep(0.05)  # its mapping runs beside, as it would between two pairs
-        spent.append(time.process_time() - began)
-        if pose is not None:
-            poses.append(pose._replace(frame_id=k))
-    slam.shutdown()
-    return PeerTrack(poses, spent)

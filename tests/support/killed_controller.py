@@ -1,8 +1,8 @@
-"""Kills and suspensions of the controller at random points of random motions, three real processes.
+"""Kills and suspensions of the controller within motions, three real processes.
 
-What is shown: the plant closes its valves by its own watchdog, and nothing moves again by itself, neither
-when a suspended controller goes on nor when a new one starts. Judged by the plant's own recording of the
-true spools, on the plant's clock, and by the status bits in its registers.
+The plant closes its valves by its own watchdog. Nothing moves again by itself, neither when a suspended
+controller goes on nor when a new one starts. Judged by the plant's own recording of the true spools, on the
+plant's clock, and by the status bits in its registers.
 """
 
 import os
@@ -12,18 +12,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
+from pyModbusTCP.client import ModbusClient
 
-from conformance.master import Master
 from foundation.configuration import merged, parse_overrides
-from laboratory.campaigns.campaign import CampaignRequest, Task
-from laboratory.campaigns.experiment import Check, Experiment, Finished
-from laboratory.campaigns.options import Assignments
-from laboratory.campaigns.rows import typed
 from plant_emulator.shell.recording import Recording, read_truth
 from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -38,11 +33,10 @@ from testbed.realtime.child import Service
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.live_client import LiveClient
 from testbed.realtime.supervisor import Supervisor, supervised
-from testbed.reporting.console import bars, table
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows
 CLOSING_MS = 30.0  # drive electronics and servo valve, from the centred word to the shut spool
-KILL, SUSPEND, SUSPEND_LONG = "kill", "suspend", "suspend 5 s"
+KILL, SUSPEND_LONG = "kill", "suspend 5 s"
 _STATUS_AFTER_S = 0.3  # the registers are asked: after the motion watchdog, before the coupler's of 1 s
 _QUIET_S = 0.5  # how long nothing may happen once the controller is back
 _TRUTH_HZ = 250.0
@@ -69,12 +63,14 @@ class KillRig:
         services = {service.name: service for service in launch.services}
         self._controller: Service = services[CONTROLLER]
         modbus, link = launch.settings.plant_service.modbus, launch.settings.controller.reference_link
-        self._onlooker = Master(modbus.host, modbus.port, 1, outputs=False)  # a second one, that only reads
+        self._onlooker = ModbusClient(modbus.host, modbus.port, 1, timeout=2.0)  # only reads
         self.client = LiveClient(link.host, link.port)
 
     def status(self) -> int:
         """The plant's status bits."""
-        return decode_sensors(self._onlooker.words(INPUT_ADDRESS, INPUT_WORDS)).status
+        words = self._onlooker.read_input_registers(INPUT_ADDRESS, INPUT_WORDS)
+        assert words is not None, self._onlooker.last_error_as_txt
+        return decode_sensors(words).status
 
     @property
     def pid(self) -> int:
@@ -108,7 +104,7 @@ class KillRig:
 
     def close(self) -> None:
         """Hang up."""
-        self._onlooker.hang_up()
+        self._onlooker.close()
         self.client.__exit__(None, None, None)
 
 
@@ -134,7 +130,7 @@ def one_trial(rig: KillRig, kind: str, rng: np.random.Generator) -> KillTrial:
     if kind == KILL:
         rig.start()
     else:
-        rig.client.pump(5.0 if kind == SUSPEND_LONG else rng.uniform(0.0, 0.5))
+        rig.client.pump(5.0)
         os.kill(rig.pid, signal.SIGCONT)
     rig.client.pump(_QUIET_S)
     if not rig.client.connected or kind == KILL:
@@ -197,125 +193,13 @@ def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iter
             rig.close()
 
 
-def drawn_kinds(runs: int, rng: np.random.Generator) -> list[str]:
-    """Half kills, half suspensions, one in ten of them long, in random order."""
-    suspensions = [SUSPEND_LONG if k % 10 == 9 else SUSPEND for k in range(runs // 2)]
-    return [str(kind) for kind in rng.permutation([KILL] * (runs - len(suspensions)) + suspensions)]
-
-
 def run_trials(
     config_dir: Path, assignments: list[str], kinds: Sequence[str], seed: int, directory: Path
 ) -> list[dict[str, Any]]:
     """One row a trial; ``limit_ms`` is what it was judged by."""
     rng = np.random.default_rng(seed)
-    trials = []
-    with (
-        bars() as shown,
-        shown.step("kills and suspensions") as bar,
-        trial_rig(config_dir, assignments, directory) as (launch, rig),
-    ):
-        for number, kind in enumerate(kinds):
-            bar.update(number / len(kinds), f"{kind}, {number + 1} of {len(kinds)}")
-            trials.append(one_trial(rig, kind, rng))
+    with trial_rig(config_dir, assignments, directory) as (launch, rig):
+        trials = [one_trial(rig, kind, rng) for kind in kinds]
         limit_ms = launch.settings.plant.watchdog_ms + CLOSING_MS
     judge = Judge(read_truth(launch.records(PLANT) / "truth.mcap"))
     return [judge.row(trial, limit_ms) | {"limit_ms": limit_ms} for trial in trials]
-
-
-class KillSettings(NamedTuple):
-    """The plant and controller that are treated so."""
-
-    assignments: Assignments = None
-
-
-class KillRow(NamedTuple):
-    """One kill or suspension, judged."""
-
-    kind: str
-    tripped: bool
-    disabled: bool
-    shut_ms: float
-    resumed: bool
-    limit_ms: float
-    passed: bool
-    failure: str
-
-
-class SessionRow(NamedTuple):
-    """All trials of one start of the plant: they share its processes, and its recording."""
-
-    trials: list[dict[str, Any]]
-    failure: str
-
-    def judged(self) -> list[KillRow]:
-        """The trials."""
-        return [typed(KillRow, trial | {"passed": trial["pass"]}) for trial in self.trials or ()]
-
-
-Killed = Finished[KillSettings, SessionRow]
-
-
-def kill_tasks(request: CampaignRequest, settings: KillSettings) -> list[Task]:
-    """One task: all trials share a plant that stays up. Real time is never measured already."""
-    begun = time.strftime("%Y%m%d-%H%M%S")
-    asked = {"runs": request.runs, "seed": request.seed, "assignments": settings.assignments or []}
-    return [{"key": begun, "directory": str(request.out.absolute() / begun)} | asked]
-
-
-def one_session(config_dir: Path, task: Task) -> dict[str, Any]:
-    """The row of a session, its logs and recording in ``directory``."""
-    kinds = drawn_kinds(task["runs"], np.random.default_rng(task["seed"]))
-    directory = Path(task["directory"])
-    return {"trials": run_trials(config_dir, task["assignments"], kinds, task["seed"], directory)}
-
-
-def kill_table(done: Killed) -> list[Table]:
-    """The distribution of the time to zero flow, by kind."""
-    shown = []
-    trials = done.rows[0].judged()
-    for kind in (KILL, SUSPEND, SUSPEND_LONG):
-        of_kind = [row for row in trials if row.kind == kind]
-        if not of_kind:
-            continue
-        low, half, high, top = np.percentile([row.shut_ms for row in of_kind], [0, 50, 95, 100])
-        resumed = sum(row.resumed for row in of_kind)
-        untripped = sum(not (row.tripped and row.disabled) for row in of_kind)
-        verdict = "pass" if all(row.passed for row in of_kind) else "FAIL"
-        cells = (f"{value:.0f}" for value in (low, half, high, top, of_kind[0].limit_ms))
-        shown.append((kind, len(of_kind), *cells, resumed, untripped, verdict))
-    columns = ("", "trials", "min", "p50", "p95", "max", "limit", "resumed", "watchdog silent", "verdict")
-    return [
-        table(
-            "signal to shut valves, ms on the plant's clock, random points of random motions", columns, shown
-        )
-    ]
-
-
-def kill_verdict(done: Killed) -> list[Check]:
-    """Every trial passed."""
-    trials = done.rows[0].judged()
-    good = sum(row.passed for row in trials)
-    return [
-        Check(
-            "trials in which the valves shut in time, by the watchdog, and stayed shut",
-            f"{good} of {done.request.runs}",
-            "all",
-            good == done.request.runs,
-        )
-    ]
-
-
-CONTROLLER_KILLS = Experiment(
-    name="controller-kills",
-    title="Kill and suspend the controller at random points of motions.",
-    settings=KillSettings,
-    row=SessionRow,
-    tasks=kill_tasks,
-    run=one_session,
-    table=kill_table,
-    verdict=kill_verdict,
-    runs=100,
-    world="plant and controller as processes, half of the trials kills",
-    eyes="none",
-    workers=0,
-)
