@@ -11,18 +11,18 @@ from tests.house import measures
 # What the house may weigh. A cut lowers it in its own commit. It is raised only in a commit that names what
 # was asked for, and lowers another line by as much.
 BUDGET = {
-    "lines of source": 104_826,
-    "statements of source": 52_722,
+    "lines of source": 102_384,
+    "statements of source": 51_502,
     "statements of ROS 2": 879,
     "statements of conformance": 6_264,
-    "statements of laboratory": 4_145,
+    "statements of laboratory": 2_925,
     "statements of structured text": 2_579,
     "statements of the product": 38_855,
     "lines that the three services import": 55_050,
     "lines of tests": 63_263,
     "statements of tests": 35_075,
     "lines of structured text, JavaScript, CSS and HTML": 8_485,
-    "modules": 657,
+    "modules": 645,
     "words of pages": 49_797,
     "words of the README": 692,
     "configuration keys": 642,

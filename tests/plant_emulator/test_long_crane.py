@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
-from laboratory.validation.ledger import MujocoArm, PinocchioArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.layout import N_COORDINATES
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.stability import modes
+from tests.plant_emulator.oracles import MujocoArm, PinocchioArm
 from tests.plant_emulator.plant_world import CONFIGS, Driver
 
 

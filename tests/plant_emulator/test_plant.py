@@ -5,7 +5,6 @@ import pytest
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from foundation.configuration import load
-from laboratory.validation.plant_rig import Stand, default_config
 from nominal_arm.description import NominalArm
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
@@ -22,6 +21,7 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
     ValveImage,
 )
+from tests.plant_emulator.known_answers.stand import Stand, default_config
 from tests.plant_emulator.plant_world import CONFIGS, CYCLE_NS, SHUT, Driver, plant_config
 
 LIFT_UP = (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)
@@ -45,7 +45,7 @@ def test_starts_in_equilibrium(plant: Plant) -> None:
 
 def test_agrees_with_the_controllers_nominal_kinematics_without_errors() -> None:
     table = dh_table(load(NominalArm, CONFIGS / "arm.yaml").dh)
-    stand = Stand(default_config(CONFIGS))
+    stand = Stand(default_config())
     rng = np.random.default_rng(5)
     for _ in range(100):
         q = rng.uniform([-2.0, -0.1, -2.5, -1.5, -1.5, -1.5], [2.0, 1.8, -0.4, 1.5, 1.5, 1.5])

@@ -20,7 +20,6 @@ from numba.core.runtime import _nrt_python, rtsys
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from laboratory.validation.ledger import mujoco_xml
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
 from plant_emulator.core.mechanics.elastic import start_angles
@@ -29,6 +28,7 @@ from plant_emulator.core.model import Model, build_model
 from plant_emulator.core.right_hand_side import EncoderShafts, Work, advance, hydraulic_rates, new_work
 from testbed.reporting.console import out, table
 from tests.plant_emulator.mechanics.structure_world import ENTRIES
+from tests.plant_emulator.oracles import mujoco_xml
 from tests.plant_emulator.plant_world import plant_config
 
 Array = NDArray[np.float64]

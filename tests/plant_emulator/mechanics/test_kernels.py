@@ -8,7 +8,6 @@ from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python, rtsys
 
 from foundation.compiled import allocation_free
-from laboratory.validation.plant_balances import resting_arm
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.mechanics.spatial import (
     cross,
@@ -21,7 +20,7 @@ from plant_emulator.core.mechanics.spatial import (
     turned_back,
 )
 from plant_emulator.core.right_hand_side import EncoderShafts, advance
-from tests.plant_emulator.plant_world import CONFIGS
+from tests.plant_emulator.known_answers.stand import resting_arm
 
 POSE = [0.0, 50.0, -75.0, 0.0, -25.0, 0.0]
 UPPER = np.triu_indices(3)
@@ -57,7 +56,7 @@ def test_a_kernel_that_would_allocate_does_not_compile() -> None:
 
 
 def test_thousands_of_steps_allocate_nothing() -> None:
-    stand = resting_arm(CONFIGS, POSE, 30.0)
+    stand = resting_arm(POSE, 30.0)
     idle, target = np.zeros((3, 6)), np.full(6, 0.1)
     arrays = (stand.state, idle[0], target, EncoderShafts(idle[1], idle[2]))
     _nrt_python.memsys_enable_stats()
@@ -75,7 +74,7 @@ def test_thousands_of_steps_allocate_nothing() -> None:
 
 
 def test_a_locked_or_massless_body_is_passed_over() -> None:
-    stand = resting_arm(CONFIGS, POSE, 0.0)
+    stand = resting_arm(POSE, 0.0)
     mech, work = stand.model.mechanism, multibody_work(10)
     rng = np.random.default_rng(2)
     q, rate, force = rng.normal(size=10), np.zeros(10), rng.normal(size=10) * 100.0

@@ -1,0 +1,1 @@
+"""The plant against textbook closed forms, published data and two independent engines."""
