@@ -43,7 +43,7 @@ LABORATORY := $(addprefix tests/, \
 	laboratory \
 	$(addprefix testbed/, arms camera cli commissioning demonstration exports \
 		fault_proxy hand_eye test_lockstep_repeats.py \
-		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
+		lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
 		$(addprefix hand_eye/test_, cabinet.py held_out.py robust.py) \
 		$(addprefix odometry/test_, arm_motion.py bundle_adjustment.py odometry_worlds.py segments.py) \
@@ -64,9 +64,9 @@ $(BIN)/python:
 	@"$(PYTHON)" -c 'import sys; found = ".".join(map(str, sys.version_info[:3])); sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 13) else f"Longreach needs Python 3.11, 3.12 or 3.13, found {found} at {sys.executable}; name another with PYTHON=...")'
 	"$(PYTHON)" -m venv $(VENV)
 
-$(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
+$(RUN_STAMP): requirements.lock pyproject.toml laboratory/pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install $(PIP_FLAGS) -r requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e . -e ./laboratory
 	$(BYTE_CODE)
 	@echo "compiling kernels, once: about a minute of two cores; the cache is kept for later environments"
 	$(BIN)/python -m testbed.lockstep.warm_up

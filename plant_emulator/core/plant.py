@@ -173,16 +173,6 @@ class Plant:
         )
 
     @property
-    def state(self) -> Array:
-        """The live state in the order of layout.py: identification puts measured values into it."""
-        return self._state
-
-    @property
-    def shafts(self) -> EncoderShafts:
-        """The live angles of the encoders' shafts, and their play."""
-        return self._shafts
-
-    @property
     def model(self) -> Model:
         """The tables that the compiled code reads."""
         return self._model

@@ -16,7 +16,6 @@ from testbed.cli.options import (
     DemoOptions,
     DemoTarget,
     Disturbed,
-    IdentifyOptions,
     JsonFile,
     OdometryOptions,
     RunsDir,
@@ -62,7 +61,7 @@ def doctor(
 
 @app.command(epilog="Example: longreach programs --json programs.json")
 def programs(json_file: JsonFile = None) -> None:
-    """Programs, disturbances and experiments: ours, and what installed packages add.
+    """Programs and disturbances: ours, and what installed packages add.
 
     Exit status 1 when one of an installed package cannot be run.
     """
@@ -261,23 +260,6 @@ def markers(
 
     found = run_markers(pictures, right or [], dictionary, number or [], directory, json_file)
     raise typer.Exit(0 if found else 1)
-
-
-@app.command(epilog="Example: longreach identify machine.csv --record   then: longreach identify machine.csv")
-@unfolded
-def identify(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A CSV file of samples.")],
-    options: IdentifyOptions,
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    json_file: JsonFile = None,
-) -> None:
-    """Fit the plant's parameters to a recording of a machine; exit status 2 when it is not believable."""
-    from testbed.cli.identify import asked_of, run_identify
-
-    asked = asked_of(config_dir, settings or [])
-    raise typer.Exit(0 if run_identify(asked, recording, options, seed, json_file) else 1)
 
 
 def main() -> None:

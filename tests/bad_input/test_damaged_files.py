@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
-from testbed.identification.recording import COLUMNS, FIRST_LINE
 from tests.support.paths import CONFIGS, DOCS, ROOT
 
 pytestmark = pytest.mark.slow("hundreds of damaged files")
@@ -97,14 +96,6 @@ def spreadsheet() -> bytes:
             numbers += [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]
         rows.append(";".join([str(sample["name"]), *(f"{number:.9f}" for number in numbers)]))
     return "\n".join(rows).replace(".", ",").encode()
-
-
-def motion() -> bytes:
-    """The beginning of a recording for identification."""
-    about = "arm: a\narm_hash: 0123456789abcdef\nvalve_set: servo\nrest_s: 0.5\nheld_out_from_s: 1.0"
-    head = "".join(f"# {line}\n" for line in [FIRST_LINE, *about.splitlines()])
-    rows = [",".join([f"{0.005 * k:.3f}"] + ["0.1"] * (len(COLUMNS) - 1)) for k in range(30)]
-    return (head + ",".join(COLUMNS) + "\n" + "\n".join(rows) + "\n").encode()
 
 
 DOCUMENT = {"format": "longreach-hand-eye/1", "setup": "eye-in-hand", "length_unit": "m"}
@@ -185,7 +176,6 @@ COMMANDS = (
     Reading("hand-eye session export a.json --out s.json", {"a.json": SAMPLES}, "s.json", good=2),
     Reading("camera convert a.yaml b.yaml --out c.yaml", INFOS, "c.yaml"),
     Reading("camera check eyes", {"eyes/left.png": picture, "eyes/right.png": picture}, good=2),
-    Reading("identify a.csv --out p.yaml", {"a.csv": motion}, "p.yaml", good=2),
     Reading(FOLLOWED, PAIRED, "t.tum"),
     Reading(FOLLOWED, {"left/1.png": EYES["left/1.png"], **PAIRED}, "t.tum"),
     Reading(f"{FOLLOWED} --tool-poses hand.tum", {**SIDES, **PAIRED}, "t.tum", good=2),
