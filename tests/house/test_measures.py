@@ -19,7 +19,7 @@ BUDGET = {
     "statements of structured text": 2_579,
     "statements of the product": 37_492,
     "lines that the three services import": 55_040,
-    "lines of tests": 63_263,
+    "lines of tests": 63_039,
     "statements of tests": 35_075,
     "lines of structured text, JavaScript, CSS and HTML": 8_485,
     "modules": 631,
