@@ -24,6 +24,7 @@ from vision_pc.core.types import FrameObservation, Look, StereoPair
 
 T = TypeVar("T")
 _MOST_SHOWN = 32
+_KEPT_NS = 3_000_000_000  # [D] how long a click may come after the picture that it is on
 _ANSWERED_NS = 20_000_000_000  # who is asked for the place in the other eye has to find it there first
 _COMPARED_NS = 300_000_000  # [E] after a click: what goes by at 1.5 cm/s, 1 m away, has moved by 2 px
 _MOVED = 0.001  # m, rad: an arm that did so since a picture was taken has moved
@@ -53,7 +54,6 @@ class CameraEyes(FrameEyes[StereoPair]):
         self._camera = sensor.camera
         self._tool_id = config.markers.tool.id
         self._clearance_m = config.programs.positioning.clearance_m
-        self._kept_ns = int(1e9 * config.targets.kept_s)
         self._shown: deque[StereoPair] = deque(maxlen=_MOST_SHOWN)
         self._asked: StereoPair | None = None  # of the last click that wants its place in the other eye
         self._carrier = carrier
@@ -162,13 +162,13 @@ class CameraEyes(FrameEyes[StereoPair]):
         if frame_id is None:
             return await self._frames.frame_after(now_ns)
         asked = self._asked if answers else None
-        for pair, kept_ns in [(asked, _ANSWERED_NS), *((shown, self._kept_ns) for shown in self._shown)]:
+        for pair, kept_ns in [(asked, _ANSWERED_NS), *((shown, _KEPT_NS) for shown in self._shown)]:
             same = pair is not None and pair.frame_id & 0xFFFFFFFF == frame_id & 0xFFFFFFFF
             if pair is not None and same and now_ns - pair.capture_ns <= kept_ns:
                 return pair
         raise TargetRefused(
             "target.frame_too_old",
-            f"target: picture {frame_id} is not among those shown in the last {1e-9 * self._kept_ns:g} s",
+            f"target: picture {frame_id} is not among those shown in the last {1e-9 * _KEPT_NS:g} s",
         )
 
     async def _later(self, pair: StereoPair) -> StereoPair:

@@ -3,38 +3,19 @@
 from enum import StrEnum
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from foundation.configuration import StrictModel
-
-Distance = Annotated[float, Field(gt=0.05, le=100.0)]
 
 
 class TargetSettings(StrictModel):
     """Where targets are looked for, and how wide drill holes are.
 
-    A hole counts when its diameter is within ``diameter_tolerance`` of ``diameter_mm``. Of a carried target
-    the odometry's error is ``carried_std_m`` and ``carried_std`` of the way.
+    A hole counts when its diameter is within ``diameter_tolerance`` of ``diameter_mm``.
     """
 
-    nearest_m: Distance = 0.3
-    farthest_m: Distance = 4.0
     diameter_mm: float = Field(45.0, gt=5.0, le=500.0)
     diameter_tolerance: float = Field(0.15, gt=0.0, le=0.5)
-    kept_s: float = Field(3.0, gt=0.0, le=60.0)
-    carried_std_m: float = Field(0.0002, ge=0.0, le=0.1)
-    carried_std: float = Field(0.001, ge=0.0, le=0.1)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "TargetSettings":
-        if not self.nearest_m < self.farthest_m:
-            raise ValueError(f"nearest_m {self.nearest_m:g} must be below farthest_m {self.farthest_m:g}")
-        return self
-
-    @property
-    def depths_m(self) -> tuple[float, float]:
-        """Nearest and farthest."""
-        return self.nearest_m, self.farthest_m
 
     def diameters_m(self, diameter_mm: float | None) -> tuple[float, float]:
         """The least and the greatest diameter of a hole of ``diameter_mm`` (None: as configured)."""
@@ -116,12 +97,7 @@ class TrajectorySettings(StrictModel):
     method: MatchedTraces
     association: Association
     minimum_samples: int = Field(ge=8, le=10_000)
-    lost_share_limit: float = Field(ge=0.0, le=0.9)
-    outlier_share_limit: float = Field(gt=0.0, le=0.9)
-    residual_limit_m: float = Field(gt=0.0, le=1.0)
-    scale_limit: float = Field(gt=0.0, le=1.0)
     condition_limit: float = Field(ge=1.0)
-    rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
 
 
 class TakeUpSettings(StrictModel):
@@ -140,37 +116,31 @@ class TakeUpSettings(StrictModel):
 class LocalErrorModelSettings(StrictModel):
     """Three legs along n, s and a, a local error model, and corrections by odometry.
 
-    Priors of the model: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``play_std``
-    (rad). The encoder turning back by twice ``reversal_rad`` tells the other side of the backlash.
+    Priors of the model: ``rotation_std`` (rad), ``strain_std`` (relative), ``play_std`` (rad).
     ``noise_std_m`` of one sample at rest, ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal
-    known worse is refused before moving. ``first_share`` of a way longer than ``near_m`` is driven before the
-    first correction. ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry
-    measures. ``servo_std_m``: what the joints leave of a motion, known as well as from ``servo_freedom``
-    motions. ``leg_end_std_m``: what else than backlash shaped each end of a leg, of a motion that nothing
-    corrects.
+    known worse is refused before moving. ``first_share`` of a way longer than ``near_m`` is driven before
+    the first correction. ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that
+    odometry measures. ``servo_std_m``: what the joints leave of a motion. ``leg_end_std_m``: what else
+    than backlash shaped each end of a leg, of a motion that nothing corrects.
     """
 
     leg_m: float = Field(ge=0.05, le=0.5)
     segment_s: Seconds
     dwell_s: Seconds
     rotation_std: float = Field(gt=0.0, le=1.0)
-    scale_std: float = Field(gt=0.0, le=0.2)
     strain_std: float = Field(gt=0.0, le=0.2)
     play_std: Small
     take_up: TakeUpSettings
-    reversal_rad: float = Field(gt=0.0, le=0.02)
     noise_std_m: float = Field(gt=0.0, le=0.05)
     sway_s: float = Field(ge=0.0, le=1.0)
     odometry_std_m: float = Field(ge=0.0, le=0.05)
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
     servo_std_m: float = Field(gt=0.0, le=0.05)
-    servo_freedom: float = Field(gt=2.0, le=1000.0)
     leg_end_std_m: float = Field(ge=0.0, le=0.05)
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)
     minimum_samples: int = Field(ge=8, le=10_000)
-    residual_limit_m: float = Field(gt=0.0, le=1.0)
 
 
 class PositioningSettings(StrictModel):
@@ -205,12 +175,10 @@ class VisualServoingSettings(StrictModel):
 
     ``gain``: share of a picture's news that the target takes, farther than ``near_m`` from the object;
     ``pull_gain``: share of the remaining error that it takes whenever the tool rests. Either is ``step_m`` at
-    most; a rest leaves the target within ``pull_m`` of where the pictures see the object. ``feed_s``: time
-    between references, shorter than the controller's silence limit; with no sight for ``hold_s`` the arm is
-    held, for ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error spread and changed by
-    less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is commanded; settled: its mean
-    is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z. Every rest outside widens ``settle_m``
-    by the share ``settle_growth`` of it, to ``settle_most`` times it at most.
+    most; a rest leaves the target within ``pull_m`` of where the pictures see the object. With no sight for
+    ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error neither spread nor changed, and the
+    encoders are within ``servo_gap_m`` of what is commanded; settled: its mean is also inside ``settle_m`` in
+    x and y. Every rest outside widens ``settle_m`` by the share ``settle_growth`` of it.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
@@ -219,15 +187,10 @@ class VisualServoingSettings(StrictModel):
     near_m: float = Field(ge=0.0, le=0.2)
     pull_m: float = Field(ge=0.0, le=0.05)
     lead_m: float = Field(gt=0.0, le=0.4)
-    feed_s: float = Field(ge=0.005, le=0.06)
-    hold_s: float = Field(ge=0.05, le=0.25)
     lost_s: float = Field(ge=0.1, le=5.0)
     frozen_pictures: int = Field(ge=2, le=100)
     settle_m: float = Field(gt=0.0, le=0.05)
     settle_growth: float = Field(ge=0.0, le=1.0)
-    settle_most: float = Field(ge=1.0, le=10.0)
-    settle_depth_m: float = Field(gt=0.0, le=0.1)
-    still_m: float = Field(gt=0.0, le=0.01)
     servo_gap_m: float = Field(gt=0.0, le=0.1)
     settle_pictures: int = Field(ge=4, le=200)
     timeout_s: float = Field(gt=0.0, le=600.0)

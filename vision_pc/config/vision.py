@@ -57,28 +57,10 @@ class ObjectMarkerSettings(StrictModel):
 
 
 class CalibrationDoubts(StrictModel):
-    """How far the camera may be off its calibration, 1 σ, and what of the legs is used to find it.
-
-    ``baseline`` relative; of the right eye against the left ``focal_difference_px``, ``radial_difference``
-    (k1), ``quartic_difference`` (k2), ``tangential`` (p1, p2) and ``roll_rad``; ``quartic`` is k2 of both
-    (k1 is the markers' ``radial_std``). ``pictures`` along the legs at most; points that odometry follows
-    tell their rows to ``row_std_px`` at best, and all together are worth ``row_points``. Corners may be off
-    their flat print by ``plate_std_m``, and by what they move in ``exposed_s`` of a picture.
-    """
+    """Whether the camera's errors are found along the legs; ``baseline``: its error, relative, 1 σ."""
 
     enabled: bool
     baseline: float = Field(gt=0.0, le=0.1)
-    focal_difference_px: float = Field(gt=0.0, le=50.0)
-    radial_difference: float = Field(gt=0.0, le=0.5)
-    quartic: float = Field(gt=0.0, le=0.5)
-    quartic_difference: float = Field(gt=0.0, le=0.5)
-    tangential: float = Field(gt=0.0, le=0.1)
-    roll_rad: float = Field(gt=0.0, le=0.1)
-    pictures: int = Field(ge=5, le=1000)
-    row_std_px: float = Field(gt=0.0, le=5.0)
-    row_points: float = Field(ge=1.0)
-    plate_std_m: float = Field(gt=0.0, le=0.05)
-    exposed_s: float = Field(ge=0.0, le=1.0)
 
 
 class MarkerSettings(StrictModel):

@@ -118,11 +118,11 @@ def associated_trajectories(samples: tuple[WatchSample, ...], settings: Trajecto
             f"trajectory: {len(samples)} samples, at least {settings.minimum_samples} are wanted",
         )
     lost = 1.0 - len(held) / len(samples)
-    if lost > settings.lost_share_limit or len(held) < settings.minimum_samples:
+    if lost > _LOST_SHARE or len(held) < settings.minimum_samples:
         raise MeasurementFailed(
             "measurement.odometry_lost",
             f"trajectory: odometry lost in {len(samples) - len(held)} of {len(samples)} pictures, "
-            f"limit {settings.lost_share_limit:.0%}",
+            f"limit {_LOST_SHARE:.0%}",
         )
     p_CM = None
     if settings.method == MatchedTraces.POINTS:
@@ -198,17 +198,23 @@ def _rotations_at_end(
     return pair.X_BT[-1, :3, :3] @ R_TC, R_TC
 
 
+_LOST_SHARE, _OUTLIER_SHARE = 0.2, 0.4  # [D] of all samples
+_RESIDUAL_M = 0.05  # [S] Mäkinen et al. 2023, Table 3: up to 58 mm on one axis
+_SCALE_LIMIT = 0.2  # [D] log of kinematic over camera extent
+_ROTATION_STD_DEG = 5.0  # [D] 26 mm over 0.3 m
+
+
 def _refuse_poor_match(calibration: LocalCalibration, residuals: Array, settings: TrajectorySettings) -> None:
     outliers = 1.0 - calibration.inlier_share
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     # The paper's form is not refused for its spread: a mount rotation leaks into it, a second look mends it.
     std_deg = math.degrees(calibration.rotation_std()) if settings.method == MatchedTraces.POINTS else 0.0
     for cause, what, value, limit in (
-        ("scale_mismatch", "scale error", abs(math.log(calibration.scale)), settings.scale_limit),
-        ("match_lost", "outlier share", outliers, settings.outlier_share_limit),
-        ("match_poor", "rms residual (m)", rms, settings.residual_limit_m),
+        ("scale_mismatch", "scale error", abs(math.log(calibration.scale)), _SCALE_LIMIT),
+        ("match_lost", "outlier share", outliers, _OUTLIER_SHARE),
+        ("match_poor", "rms residual (m)", rms, _RESIDUAL_M),
         ("ill_conditioned", "condition", calibration.condition, settings.condition_limit),
-        ("ill_conditioned", "rotation std (deg)", std_deg, settings.rotation_std_limit_deg),
+        ("ill_conditioned", "rotation std (deg)", std_deg, _ROTATION_STD_DEG),
     ):
         if not value <= limit:
             raise MeasurementFailed(f"measurement.{cause}", f"matching: {what} {value:.4g}, limit {limit:g}")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from vision_pc.config.vision import CalibrationDoubts, MarkerSettings
+from vision_pc.config.vision import MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.intrinsics import corrected, prior_stds
@@ -32,6 +32,10 @@ _CAMERA = len(_STEPS)
 _POINT_STEP = 1e-6  # m
 _LEAST_PICTURES = 12
 _LEAST_M = 0.1  # that the object must wander in camera axes
+_PICTURES = 60  # [D] along the legs, at most
+_EXPOSED_S = 1e-3  # [S] a ZED2 reads 64 rows in it: a moving picture's corners are off by what they move
+_ROW_STD_PX, _ROW_POINTS = 0.1, 1000.0  # [E] of a followed point's row, at best; what all together are worth
+_PLATE_STD_M = 3e-4  # [E] a sheet of plastic bent by half a millimetre, turned by half a degree
 
 _PRINT = 16  # unknowns of a print: size, place (3), and how far each corner is off besides (4 × 3)
 _INPLANE = 0.3  # of a plate's bend moves corners within its plane
@@ -70,8 +74,7 @@ def fitted_errors(
 
     None where that is not asked for, or the object was seen too seldom or in too small a space.
     """
-    doubts = settings.calibration
-    chosen = _spread_out(samples, camera, settings) if doubts.enabled else []
+    chosen = _spread_out(samples, camera, settings) if settings.calibration.enabled else []
     if len(chosen) < _LEAST_PICTURES:
         return None
     corners, poses = _corners(chosen, settings)
@@ -81,7 +84,7 @@ def fitted_errors(
     for _ in range(_ROUNDS):
         H, g = np.diag(stds**-2.0), -shared / stds**2
         reduced, eliminated = _corner_equations(corners, poses, shared, camera)
-        row_H, row_g = _row_equations(rows, shared[:_CAMERA], camera, doubts)
+        row_H, row_g = _row_equations(rows, shared[:_CAMERA], camera)
         H += reduced.H
         g += reduced.g
         H[:_CAMERA, :_CAMERA] += row_H
@@ -97,7 +100,6 @@ def _spread_out(
     samples: Sequence[WatchSample], camera: CameraCalibration, settings: MarkerSettings
 ) -> list[_Picture]:
     """Pictures that show the object, evenly along the way that it makes in them; none where that is short."""
-    doubts = settings.calibration
     seen = [(s.X_CO, s.time_ns, s.observation, s.pairs) for s in samples if s.X_CO is not None]
     places = np.array([X_CO[:3, 3] for X_CO, *_ in seen]).reshape(-1, 3)
     if len(seen) < _LEAST_PICTURES or np.ptp(places, axis=0).max() < _LEAST_M:
@@ -108,8 +110,8 @@ def _spread_out(
     speed = (
         np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0)) * camera.left.K[0, 0] / places[:, 2]
     )
-    std_px = np.hypot(settings.corner_std_px, doubts.exposed_s * speed)
-    chosen = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], doubts.pictures)))
+    std_px = np.hypot(settings.corner_std_px, _EXPOSED_S * speed)
+    chosen = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _PICTURES)))
     pictures = []
     for k in np.minimum(chosen, len(seen) - 1).tolist():
         _, _, observation, pairs = seen[k]
@@ -151,7 +153,7 @@ def _rows(pictures: list[_Picture]) -> PointPairs:
 
 def _print_stds(settings: MarkerSettings) -> Array:
     """Of each print's size and place; the tool's hangs where it hangs, and is nobody's but its own."""
-    place, bend = max(settings.placement_std_m, 1e-6), settings.calibration.plate_std_m
+    place, bend = max(settings.placement_std_m, 1e-6), _PLATE_STD_M
     corners = 4 * [_INPLANE * bend, _INPLANE * bend, bend]
     return np.concatenate(
         [
@@ -253,9 +255,7 @@ def _linearised(
     return measured - here, np.stack(columns, axis=2)
 
 
-def _row_equations(
-    rows: PointPairs, errors: Array, camera: CameraCalibration, doubts: CalibrationDoubts
-) -> tuple[Array, Array]:
+def _row_equations(rows: PointPairs, errors: Array, camera: CameraCalibration) -> tuple[Array, Array]:
     """Normal equations of the rows over the camera's errors: the column tells a point's depth, its row is a
     measurement.
     """
@@ -267,8 +267,8 @@ def _row_equations(
         for k, step in enumerate(_STEPS)
     ]
     J = np.column_stack(columns)
-    std = max(1.4826 * float(np.median(np.abs(here - np.median(here)))), doubts.row_std_px)
-    weight = 1.0 / np.maximum(1.0, np.abs(here) / (_HUBER * std)) * min(1.0, doubts.row_points / len(here))
+    std = max(1.4826 * float(np.median(np.abs(here - np.median(here)))), _ROW_STD_PX)
+    weight = 1.0 / np.maximum(1.0, np.abs(here) / (_HUBER * std)) * min(1.0, _ROW_POINTS / len(here))
     scaled = J * (weight / std**2)[:, None]
     return scaled.T @ J, -scaled.T @ here
 

@@ -84,14 +84,21 @@ def project(eye: CameraModel, points_C: Array) -> Array:
     return distorted(eye, points[:, :2] / z[:, None])
 
 
+_EYES_DIFFER = (0.2, 0.2, 2e-4)  # [E] focal lengths, px, and turn about the axis, rad, of the right eye
+_LENS_DIFFERS = (
+    1e-3,
+    1.5e-4,
+    1.5e-4,
+    5e-4,
+    3e-4,
+)  # [E] k1, p1, p2 of the right eye, k2 of both, of the right
+
+
 def prior_stds(settings: MarkerSettings) -> Array:
     """Standard deviations (12,) of a camera's errors before anything was seen."""
-    doubts, offset = settings.calibration, settings.offset_std_px
-    focal, tangential = doubts.focal_difference_px, doubts.tangential
-    radial = max(settings.radial_std, 1e-6)
-    lens = [radial, doubts.radial_difference, tangential, tangential]
-    lens += [doubts.quartic, doubts.quartic_difference]
-    return np.array([offset, offset, doubts.baseline, focal, focal, doubts.roll_rad, *lens])
+    offset, radial = settings.offset_std_px, max(settings.radial_std, 1e-6)
+    baseline = settings.calibration.baseline
+    return np.array([offset, offset, baseline, *_EYES_DIFFER, radial, *_LENS_DIFFERS])
 
 
 def corrected(camera: CameraCalibration, values: Array) -> CameraCalibration:

@@ -20,6 +20,9 @@ _FADE = 0.5  # what a motion counts of the one after it: a servo leaves the same
 _DOUBT = 0.1  # motions that left nothing, beside those seen: joints' ends differ less than their residuals
 
 
+_SERVO_FREEDOM = 6.0  # [D] motions that ``servo_std_m`` is worth
+
+
 class ServoSpread(NamedTuple):
     """``variance`` m² in each direction of where a motion ends, and the freedom with which it is known."""
 
@@ -34,8 +37,8 @@ def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoS
     residuals = np.concatenate([track.residuals, _residual_of_legs(track, settings)])
     squares = float((residuals**2).sum() / 3.0 * _ACROSS / seen)
     count = _ACROSS * len(residuals)
-    scale = (settings.servo_freedom + squares) / (settings.servo_freedom + count)
-    return ServoSpread(prior * scale, settings.servo_freedom + count)
+    scale = (_SERVO_FREEDOM + squares) / (_SERVO_FREEDOM + count)
+    return ServoSpread(prior * scale, _SERVO_FREEDOM + count)
 
 
 def _residual_of_legs(track: LocalTrack, settings: LocalErrorModelSettings) -> Array:

@@ -22,6 +22,11 @@ from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
 
 _RESTS = 5  # so often at rest outside what is accepted: not slow, but loose
+_FEED_S = 0.03  # [D] between references; the controller slows down after 76 ms without one
+_HOLD_S = 0.2  # [D] two pictures without a view: the controller refuses what was seen more than 250 ms ago
+_STILL_M = 0.0004  # [M] a look's noise is 0.1 mm
+_SETTLE_MOST = 1.75  # [D] times ``settle_m``, that every rest outside widens: 1.4 mm
+_SETTLE_DEPTH_M = 0.005  # [D]
 
 
 class Convergence(NamedTuple):
@@ -113,8 +118,8 @@ class ServoingLaw:
         s, mean = self._settings, np.abs(self.errors.mean(axis=0))
         # Each correction ends somewhere in the backlash. Where that is wider than what is wanted, waiting for
         # a better end could go on for ever.
-        inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, s.settle_most)
-        return bool(max(mean[:2]) <= inside_m and mean[2] <= s.settle_depth_m)
+        inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, _SETTLE_MOST)
+        return bool(max(mean[:2]) <= inside_m and mean[2] <= _SETTLE_DEPTH_M)
 
     @property
     def _still(self) -> bool:
@@ -124,7 +129,7 @@ class ServoingLaw:
         errors, part = self.errors, self._settings.settle_pictures // 3
         moved = float(np.linalg.norm(errors[-part:].mean(axis=0) - errors[:part].mean(axis=0)))
         spread = float(errors[:, :2].std(axis=0).max())
-        return max(moved, spread) <= self._settings.still_m
+        return max(moved, spread) <= _STILL_M
 
 
 async def servo_to_object(
@@ -180,7 +185,7 @@ async def _follow_object(
     held: Array | None = None
     while not law.settled:
         view = await stream.view()
-        if 1e-9 * (view.time_ns - seen_ns) > settings.hold_s:
+        if 1e-9 * (view.time_ns - seen_ns) > _HOLD_S:
             held = view.X_BT_cmd if held is None else held
             await stream.send(held)
         else:
@@ -202,7 +207,7 @@ def _unsettled(law: ServoingLaw, left: float, settings: VisualServoingSettings) 
     off = f"looking and moving: {1e3 * left:.1f} mm off after {settings.timeout_s:g} s"
     if law.rests < _RESTS:
         return MeasurementFailed("measurement.not_settled", off)
-    most_mm = 1e3 * settings.settle_m * settings.settle_most
+    most_mm = 1e3 * settings.settle_m * _SETTLE_MOST
     return MeasurementFailed(
         "measurement.play_too_wide",
         f"{off}; at rest {law.rests} times, {1e3 * law.nearest_m:.1f} mm off at best, "
@@ -236,9 +241,9 @@ class _Detections:
 
         Raises MeasurementFailed for a view lost, and a camera that is silent or frozen.
         """
-        sample = await self._watch.after(self._taken, self.settings.feed_s)
+        sample = await self._watch.after(self._taken, _FEED_S)
         if sample is None:
-            self._silent_s += self.settings.feed_s
+            self._silent_s += _FEED_S
             if self._silent_s > self.settings.lost_s:
                 raise MeasurementFailed(
                     "measurement.camera_silent",

@@ -54,6 +54,7 @@ def _smooth(image: Image) -> Image:
 Known = Literal["measured", "carried", "lost"]
 MARKERS = "markers"  # in place of an id: the object's markers
 _MOST = 100
+_CARRIED_STD_M, _CARRIED_STD = 0.0002, 0.001  # [E] odometry from rest to rest, and of the way
 _STILL = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -166,7 +167,7 @@ class TargetKeeper:
             way = float(np.linalg.norm(X_C0C[:3, 3]))
             turn = np.zeros((6, 6))
             turn[:3, :3] = turn[3:, 3:] = X_CC0[:3, :3]
-            std = self._settings.carried_std_m + self._settings.carried_std * way
+            std = _CARRIED_STD_M + _CARRIED_STD * way
             reach = float(np.linalg.norm(target.X_CO[:3, 3]))
             more = np.diag([std**2] * 3 + [(std / max(reach, 0.3)) ** 2] * 3)
             target.X_CO = X_CC0 @ target.X_CO

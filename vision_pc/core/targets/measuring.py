@@ -67,7 +67,7 @@ def at_click(sighted: Sighted, click: Click) -> TargetObservation:
     pair, camera = sighted.pair, sighted.believed
     row_matching.refuse_outside(click.pixel, camera)
     refuse_hidden(sighted, camera, (click.pixel,), 0)
-    depths = sighted.settings.depths_m
+    depths = row_matching.DEPTHS_M
     if click.other is not None:
         depth = row_matching.depth_of(camera, click.pixel, click.other)
         depths = depth * (1.0 - _SECOND_CLICK), depth * (1.0 + _SECOND_CLICK)
@@ -86,7 +86,7 @@ def holes(sighted: Sighted, diameter_mm: float | None = None) -> list[TargetObse
     camera, found = sighted.believed, list[TargetObservation]()
     for spot in dark_spots(sighted.pair.left):
         try:
-            hole = measured_hole(sighted, camera, spot, sighted.settings.depths_m, diameter_mm)
+            hole = measured_hole(sighted, camera, spot, row_matching.DEPTHS_M, diameter_mm)
         except TargetRefused:
             continue
         if not any(_one_hole(hole, other) for other in found):  # the whole of it may be a spot, and a part

@@ -15,6 +15,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.targets.target import Candidate, TargetRefused
 from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPair
 
+DEPTHS_M = (0.3, 4.0)  # [D] of the search along the row; a pixel of disparity is 0.25 m at the farther
 HALF = 15  # px of the template on either side
 _BLURRED = 2  # px beyond it, for the smoothing
 _ROWS = 3  # px that the right eye may be off its row

@@ -16,7 +16,7 @@ from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.place_on_plane import plane_at
-from vision_pc.core.targets.row_matching import places_alike, right_pixels
+from vision_pc.core.targets.row_matching import DEPTHS_M, places_alike, right_pixels
 from vision_pc.core.targets.sighting import Sighted, region
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 from vision_pc.core.types import CameraCalibration, Image
@@ -48,7 +48,7 @@ def refuse_contradicted(
     Raises TargetRefused (``target.contradicted``, with candidates) where others outdo it in their looks, or
     where what lies around speaks for another of those that look alike.
     """
-    alike = places_alike(sighted.pair, camera, pixel, sighted.settings.depths_m)
+    alike = places_alike(sighted.pair, camera, pixel, DEPTHS_M)
     candidates = tuple(other.candidate for other in alike)
     ray, n = np.append(intrinsics.normalised(camera.left, pixel[None])[0], 1.0), _plane_of(chosen)
     at = right_pixels(camera.right, ray[None], np.array([n @ ray]))[0]
