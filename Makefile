@@ -42,7 +42,7 @@ LABORATORY := $(addprefix tests/, \
 	plant_emulator/shell/test_plant_process.py \
 	laboratory \
 	$(addprefix testbed/, arms camera cli commissioning demonstration exports \
-		fault_proxy hand_eye test_lockstep_repeats.py \
+		hand_eye test_lockstep_repeats.py \
 		lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
 		$(addprefix hand_eye/test_, cabinet.py held_out.py robust.py) \
@@ -54,7 +54,7 @@ LABORATORY := $(addprefix tests/, \
 # A whole machine beside ROS for each file: one at a time, or two cores do not keep up.
 BRIDGE_TESTS := tests/longreach_ros2/bridge
 
-.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -186,9 +186,6 @@ lock:  ## resolve pyproject.toml again into both lock files
 	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:ros -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-ros.lock
 	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:audit $(LOCK_FLAGS) -o requirements-audit.lock
 	rm -rf $(VENV)-lock
-
-page-vendor: $(RUN_STAMP)  ## the libraries of our pages, made again from the npm registry (needs npm)
-	$(BIN)/python -m tools.page_vendor
 
 clean:  ## remove the virtual environment and every cache
 	rm -rf $(VENV) $(AUDIT) $(ROS) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks

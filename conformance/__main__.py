@@ -1,15 +1,14 @@
-"""The suites and the dissector as a command of their own, where nothing else of ours is installed."""
+"""The suites as a command of their own, where nothing else of ours is installed."""
 
 import sys
 
 import typer
 
 from conformance.command import coupler, reference
-from dissector.command import sniff
 from protocol.errors import LongreachError
 
-app = typer.Typer(help="Numbered questions to any controller or coupler, and what the link says.")
-for command in (reference, coupler, sniff):
+app = typer.Typer(help="Numbered questions to any controller or coupler.")
+for command in (reference, coupler):
     app.command()(command)
 
 

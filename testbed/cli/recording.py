@@ -114,30 +114,6 @@ def pictures_command(
     write_json(json_file, figures | {"calibration": found.calibration})
 
 
-@app.command("merge", epilog="Example: longreach recording merge runs/demo --out session.mcap")
-def merge_command(
-    what: Annotated[
-        list[Path], typer.Argument(metavar="RUN|FILE...", help="A run's directory, or its recordings.")
-    ],
-    target: Annotated[Path, typer.Option("--out", help="Where the merged recording goes.")],
-    attached: Annotated[
-        list[Path] | None, typer.Option("--attach", help="A file to attach, such as the arm's URDF.")
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
-    """Put the recordings of one session on the vision PC's clock, in one file; tell how sure that is."""
-    from testbed.recordings.merging import merge
-
-    files = [file for path in what for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
-    clocks = merge(files, promised(target), attached or [])
-    rows = [
-        (name, f"{1e-6 * at.offset_ns:+.3f}", f"{at.drift_ppm:+.2f}", f"{1e-3 * at.uncertainty_ns:.0f}")
-        for name, at in clocks.items()
-    ]
-    out.print(table("vision's clock minus each part's", ("part", "ms", "ppm", "± µs"), rows))
-    write_json(json_file, {name: clock._asdict() for name, clock in clocks.items()})
-
-
 def _whole(found: "Contents") -> bool:
     return found.complete and not found.damages and not found.stray
 

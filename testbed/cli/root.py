@@ -193,16 +193,6 @@ LATER = {
         "conformance.command",
         "Numbered questions to any controller or coupler, each citing a written clause.",
     ),
-    "sniff": Later(
-        "dissector.command:sniff",
-        "Print every datagram of the reference link, with the cause where a receiver would drop it.",
-        "Example: longreach sniff --interface lo --port 47000",
-    ),
-    "proxy": Later(
-        "testbed.fault_proxy.proxy:proxy",
-        "Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C.",
-        "Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02",
-    ),
     "plc": Later(
         "testbed.cli.plc", "A PLC's variables over ADS: our controller in structured text, TwinCAT."
     ),
@@ -222,7 +212,7 @@ PANELS = {  # in the order of use
         "init", "config", "arm", "target", "camera", "hand-eye", "commission", "markers",
         "odometry",
     ),
-    "Put to the test": ("conformance", "sniff", "proxy", "plc"),
+    "Put to the test": ("conformance", "plc"),
     "For other tools": ("export", "picture", "token"),
 }  # fmt: skip
 _PANEL = {name: panel for panel, names in PANELS.items() for name in names}

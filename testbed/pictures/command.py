@@ -1,4 +1,4 @@
-"""`longreach picture effects`: what each effect of camera and scene does, in pictures and in grey levels."""
+"""`longreach picture machine`: the arm from the side."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,20 +18,6 @@ def _pictures() -> None:
     """Pictures that explain."""
 
 
-@app.command("effects", epilog="Example: longreach picture effects --out runs/effects")
-def effects_command(
-    directory: Annotated[Path, typer.Option("--out", help="Where the pictures go.")],
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
-    ] = None,
-) -> None:
-    """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
-    from testbed.pictures.effects import draw_effects
-
-    draw_effects(config_dir, directory, json_file)
-
-
 @app.command("machine", epilog="Example: longreach picture machine --out docs/images/machine.png")
 def machine_command(
     path: Annotated[
@@ -45,24 +31,3 @@ def machine_command(
 
     draw_machine(load_settings(config_dir, {}), path)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
-
-
-@app.command("run", epilog="Example: longreach picture run --out docs/images/run.webp --seed 1")
-def run_command(
-    path: Annotated[
-        Path, typer.Option("--out", help="Where the animation goes (WebP or GIF).", callback=writable)
-    ],
-    scenario: Annotated[str, typer.Option(help="Draw the world from this scenario.")] = "standard",
-    seed: Annotated[int, typer.Option(min=0, help="The same seed is the same world.")] = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-) -> None:
-    """One run in simulated time: the arm from the side, what its camera sees, the true error over time."""
-    from testbed.pictures.film import filmed, write_film
-    from testbed.reporting.console import bars
-    from testbed.scenarios.scenario import chosen_overrides, load_settings
-
-    settings = load_settings(config_dir, chosen_overrides(config_dir, scenario, seed, []))
-    with bars() as shown:
-        stills, rests = filmed(settings, seed, 2, shown)
-    write_film(settings, stills, rests, path)
-    out.print(f"{path}: {len(stills)} pictures, {path.stat().st_size / 1000:.0f} kB", highlight=False)

@@ -264,13 +264,9 @@ LONG: Mapping[str, Interrupted] = MappingProxyType(
         "camera serve": _SERVED,
         "hand-eye session run": Interrupted("every sample taken, in the rig's session", "goes on from there"),
         "odometry": _NOTHING,
-        "picture effects": Interrupted("the pictures drawn until then"),
-        "picture run": _NOTHING,
         "conformance": _NOTHING,
         "recording": Interrupted("nothing half made"),
         "plc": Interrupted("every row until then", status=0),
-        "proxy": _SERVED,
-        "sniff": _SERVED,
     }
 )
 

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
-from tests.support.paths import CONFIGS, DOCS, ROOT
+from tests.support.paths import CONFIGS, ROOT
 
 pytestmark = pytest.mark.slow("hundreds of damaged files")
 WITHIN_S = 10.0
@@ -149,7 +149,6 @@ SAMPLED = "hand-eye samples eyes poses.txt --camera camera.json --out s.json"
 INFOS = {"a.yaml": partial(info, "0"), "b.yaml": partial(info, "-18.0")}
 PAIRED = {"c.yaml": lambda: CALIBRATION, **EYES}
 FOLLOWED = "odometry --left left --right right --calib c.yaml --out t.tum"
-PCAP = {"a.pcap": (DOCS / "protocol" / "sample.pcap").read_bytes}
 RUNS = {"runs/20260101-000000/run.json": bytes_of(RUN)}
 
 
@@ -162,7 +161,6 @@ COMMANDS = (
     Reading("recording verify a.mcap", MCAP),
     Reading("recording recover a.mcap --out whole.mcap", MCAP, "whole.mcap"),
     Reading("recording to-csv a.mcap --out tables", MCAP, "tables"),
-    Reading("recording merge a.mcap --out merged.mcap", MCAP, "merged.mcap", good=2),
     Reading("replay a.mcap", MCAP, good=2),
     Reading("markers a.png", {"a.png": picture}),
     Reading("hand-eye intrinsics a.png", {"a.png": picture}, good=2),
@@ -179,8 +177,6 @@ COMMANDS = (
     Reading(FOLLOWED, PAIRED, "t.tum"),
     Reading(FOLLOWED, {"left/1.png": EYES["left/1.png"], **PAIRED}, "t.tum"),
     Reading(f"{FOLLOWED} --tool-poses hand.tum", {**SIDES, **PAIRED}, "t.tum", good=2),
-    Reading("sniff --pcap a.pcap", PCAP),
-    Reading("sniff --pcap a.pcap --key key", {"key": lambda: b"ab" * 32, **PCAP}),
     Reading("runs list --out runs", RUNS),
     Reading("runs show last --out runs", RUNS),
     Reading("config list camera --config-dir c", configured("vision")),

@@ -25,30 +25,9 @@ from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.process_image import decode_sensors, encode_valves
 from protocol.reference_messages import Acknowledgement, Command, ReferencePose
-from testbed.fault_proxy.faults import Delivery, FaultLine, Faults
-from testbed.fault_proxy.proxy import Route, TcpProxy
 from tests.faults.registers import Registers, assert_shut
 from tests.faults.rig import CLOSING_NS, settings_of
-
-Fate = Callable[[bytes, int], list[Delivery]]
-
-
-class Scripted(FaultLine):
-    """A direction whose ``script`` decides about each packet by its number since the script began."""
-
-    def __init__(self) -> None:
-        super().__init__(Faults(), 0, 0)
-        self.script: Fate | None = None
-        self.packets = 0
-
-    def begin(self, script: Fate | None) -> None:
-        """From now on ``script`` decides; None: everything passes."""
-        self.script, self.packets = script, 0
-
-    def fate(self, data: bytes, elapsed_ns: int) -> list[Delivery]:
-        """What becomes of a packet."""
-        self.packets += 1
-        return [Delivery(0, data)] if self.script is None else self.script(data, self.packets)
+from tests.support.fault_proxy import TcpProxy
 
 
 class FieldbusRig:
@@ -57,8 +36,7 @@ class FieldbusRig:
     def __init__(self, registers: Registers, proxy: TcpProxy, timeout_ms: float) -> None:
         settings = settings_of(1, ())
         self.registers, self.proxy = registers, proxy
-        self.requests, self.answers = Scripted(), Scripted()
-        proxy.to_server, proxy.to_client = self.requests, self.answers
+        self.requests, self.answers = proxy.requests, proxy.answers
         self.settings = settings_from(settings.arm, settings.controller)
         self.state = initial_state(self.settings)
         config = PlantLinkConfig(
@@ -176,7 +154,7 @@ async def fieldbus(timeout_ms: float = 250.0) -> AsyncIterator[FieldbusRig]:
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
         _, port = await registers.coupler.start(bound)
-        async with TcpProxy(Route(0, port), Faults(), Faults(), 1) as proxy:
+        async with TcpProxy(port).serving() as proxy:
             rig = FieldbusRig(registers, proxy, timeout_ms)
             rig.link.start()
             try:

@@ -9,10 +9,10 @@ import pytest
 
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.process_image import CONTROL_ENABLE, OUTPUT_ADDRESS, ValveImage, encode_valves
-from testbed.fault_proxy.faults import MS, Delivery
 from tests.faults.fieldbus import fieldbus
 from tests.faults.registers import assert_shut
 from tests.faults.rig import CLOSING_NS
+from tests.support.fault_proxy import MS, Delivery
 
 pytestmark = pytest.mark.realtime
 

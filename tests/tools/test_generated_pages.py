@@ -3,16 +3,20 @@
 import hashlib
 import itertools
 import re
+from pathlib import Path
 
 import pytest
 
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.shell.coupler_connection import request_of
 from tests.support.paths import ROOT
-from tools import against_reality_page, pages
-from tools.page_vendor import FILES, PACKAGES, Made
+from tools import pages
 from vision_pc.application.programs import PROGRAMS
 
+VENDOR = [
+    ROOT / "vision_pc" / "shell" / "rest" / "console" / "page" / "vendor",
+    ROOT / "foundation" / "rest" / "docs" / "vendor",
+]
 COUPLER = (pages.DOCS / "process_image.md").read_text(encoding="utf-8")
 
 
@@ -51,34 +55,11 @@ def test_every_program_has_its_row_and_its_source() -> None:
     assert all((ROOT / source).is_file() for source in inside)
 
 
-def test_the_page_shows_what_is_measured_now() -> None:
-    for row in against_reality_page.of_parts():
-        assert f"| {row.ours} | {row.verdict} |" in against_reality_page.PAGE.read_text(encoding="utf-8"), (
-            "run: python -m tools.against_reality_page"
-        )
-
-
-def test_a_later_valve_makes_a_later_joint_by_as_much() -> None:
-    late = (
-        against_reality_page.stepped(0, 0.4, "plant.valves.delay_ms=50.0").delay_s
-        - against_reality_page.stepped(0, 0.4).delay_s
-    )
-    assert late == pytest.approx(0.049, abs=0.003)
-
-
-@pytest.mark.parametrize("made", FILES, ids=lambda made: made.name)
-def test_a_file_is_what_its_page_says(made: Made) -> None:
-    told = (made.folder / "THIRD_PARTY.md").read_text(encoding="utf-8")
-    expected = rf"^\| {re.escape(made.name)} \| (\S+) (\S+) \| (\S+) \| ([0-9a-f]{{64}}) \|$"
-    row = re.search(expected, told, re.MULTILINE)
-    assert row is not None
-    package = PACKAGES[made.package]
-    assert row.groups()[:3] == (package.name, package.version, package.licence)
-    assert hashlib.sha256((made.folder / made.name).read_bytes()).hexdigest() == row[4]
-    assert f"## {package.name}\n\n```" in told  # the licence's text
-
-
-def test_every_file_of_a_vendor_folder_is_made_by_the_recipe() -> None:
-    for folder in {made.folder for made in FILES}:
-        made = {each.name for each in FILES if each.folder == folder}
-        assert {path.name for path in folder.iterdir()} == made | {"THIRD_PARTY.md"}
+@pytest.mark.parametrize("folder", VENDOR, ids=lambda folder: folder.parts[-4])
+def test_every_carried_file_has_its_version_licence_and_hash(folder: Path) -> None:
+    told = (folder / "THIRD_PARTY.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\S+) \| (\S+) \S+ \| \S+ \| ([0-9a-f]{64}) \|$", told, re.MULTILINE)
+    assert {path.name for path in folder.iterdir()} == {name for name, *_ in rows} | {"THIRD_PARTY.md"}
+    for name, package, digest in rows:
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest, name
+        assert f"## {package}\n\n```" in told, "the licence's text"

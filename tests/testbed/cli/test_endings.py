@@ -33,7 +33,6 @@ def ended(*arguments: str) -> Result:
     [
         ("conformance", "reference", "--host", "no.such.host.invalid"),
         ("conformance", "coupler", "--host", "no.such.host.invalid"),
-        ("proxy", "--host", "no.such.host.invalid", "--listen-port", "0", "--port", "1"),
     ],
 )
 def test_a_host_without_an_address_is_named(arguments: tuple[str, ...]) -> None:
@@ -60,7 +59,6 @@ def test_a_session_without_a_rig_says_what_to_start(step: str) -> None:
         ("up", "--free-ports", "--out", "{file}/runs"),
         ("experiment", "positioning", "--count", "1", "--out", "{file}/rows"),
         ("doctor", "--json", "{file}/doctor.json"),
-        ("picture", "effects", "--out", "{file}/pictures"),
     ],
 )
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(

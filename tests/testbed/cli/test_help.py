@@ -41,7 +41,7 @@ def test_every_command_is_in_the_order_of_use() -> None:
     names = root.list_commands(typer.Context(root))  # type: ignore[attr-defined]
     assert names == [name for panel in PANELS.values() for name in panel]
     assert names.index("demo") == 0
-    assert names.index("sniff") > names.index("camera")
+    assert names.index("conformance") > names.index("camera")
 
 
 def test_quiet_gives_results_alone_and_verbose_says_where(tmp_path: Path) -> None:

@@ -16,10 +16,8 @@ from google.protobuf.descriptor import FieldDescriptor
 from foundation.recording.decoding import class_in, messages
 from foundation.recording.mcap_file import Format
 from foundation.recording.recovery import contents
-from testbed.recordings.merging import merge
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 
-MERGED = "session.mcap"
 _SCALARS = {
     getattr(FieldDescriptor, f"TYPE_{name}")
     for name in (
@@ -31,11 +29,9 @@ _STAMP = "google.protobuf.Timestamp"
 
 
 @pytest.fixture(scope="module")
-def files(recorded: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """All three recordings of a run, and them merged, by name."""
-    merged = tmp_path_factory.mktemp("merged") / MERGED
-    merge([recorded.directory / name for name in FILES], merged)
-    return {path.name: path for path in (*(recorded.directory / name for name in FILES), merged)}
+def files(recorded: RecordedRun) -> dict[str, Path]:
+    """All three recordings of a run by name."""
+    return {Path(name).name: recorded.directory / name for name in FILES}
 
 
 def refused(form: Format) -> list[str]:
@@ -63,7 +59,7 @@ def _refused_in(kind: Any, above: tuple[str, ...]) -> Iterator[str]:
             yield f"{kind.full_name}.{field.name}: repeated bytes"
 
 
-@pytest.mark.parametrize("name", [*(Path(name).name for name in FILES), MERGED])
+@pytest.mark.parametrize("name", [Path(name).name for name in FILES])
 def test_every_schema_keeps_the_viewer_s_rules(files: dict[str, Path], name: str) -> None:
     found = contents(files[name])
     assert {
@@ -73,7 +69,7 @@ def test_every_schema_keeps_the_viewer_s_rules(files: dict[str, Path], name: str
     assert all(".".join(topic.format.schema.split(".")[:-1]) for topic in found.topics.values())
 
 
-@pytest.mark.parametrize("name", [*(Path(name).name for name in FILES), MERGED])
+@pytest.mark.parametrize("name", [Path(name).name for name in FILES])
 def test_all_stamps_are_times_that_the_viewer_reads(files: dict[str, Path], name: str) -> None:
     found = contents(files[name])
     classes = {topic.name: class_in(topic.format) for topic in found.topics.values()}
