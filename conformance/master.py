@@ -20,9 +20,7 @@ from protocol.coupler_registers import (
 
 ANSWER_MS = 1000
 INPUTS, OUTPUTS = 0x0000, 0x0800
-READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
-WRITE_COIL, WRITE_REGISTER, DIAGNOSTICS, WRITE_COILS, WRITE_REGISTERS, EXCHANGE = 5, 6, 8, 15, 16, 23
-ON, OFF = 0xFF00, 0x0000
+READ_HOLDING, WRITE_REGISTER, WRITE_REGISTERS = 3, 6, 16
 EXPIRED, OWNED = 4, 6
 _MBAP = struct.Struct(">HHHB")
 
@@ -44,12 +42,6 @@ def read_request(function: int, address: int, count: int) -> bytes:
 def write_request(address: int, words: list[int]) -> bytes:
     """A request of function code 16."""
     return struct.pack(f">BHHB{len(words)}H", WRITE_REGISTERS, address, len(words), 2 * len(words), *words)
-
-
-def exchange_request(read_at: int, count: int, write_at: int, words: list[int]) -> bytes:
-    """A request of function code 23."""
-    head = struct.pack(">BHHHHB", EXCHANGE, read_at, count, write_at, len(words), 2 * len(words))
-    return head + struct.pack(f">{len(words)}H", *words)
 
 
 def word_request(address: int, word: int) -> bytes:
@@ -167,12 +159,6 @@ class Master:
             raise Unsupported("its watchdog had expired before the run: a reset needs --outputs")
         return answer[2]
 
-    def refused(self, pdu: bytes, code: int, what: str) -> None:
-        """Raises Failed unless ``pdu`` is answered with the exception ``code`` under its function code."""
-        answer = self.ask(pdu)
-        expected = bytes([pdu[0] | 0x80, code])
-        require(answer == expected, f"{what}: answered {answer.hex()}, wanted {expected.hex()}")
-
     def done(self, pdu: bytes, what: str) -> bytes:
         """The answer's PDU; raises Failed when it is an exception."""
         answer = self.ask(pdu)
@@ -190,13 +176,6 @@ class Master:
     def word(self, address: int) -> int:
         """One register."""
         return self.words(address, 1)[0]
-
-    def bits(self, function: int, address: int, count: int) -> int:
-        """Bits as a number, the first one lowest; raises Failed unless as many bytes come as they need."""
-        answer = self.done(read_request(function, address, count), f"reading {count} bits")
-        size = (count + 7) // 8
-        require(len(answer) == 2 + size and answer[1] == size, f"{count} bits came as {answer.hex()}")
-        return int.from_bytes(answer[2:], "little")
 
     def lengths(self) -> Lengths:
         """The lengths of the process image."""

@@ -7,7 +7,6 @@ from typing import Any
 from pymodbus.pdu.bit_message import ReadCoilsRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
 
-from conformance.coupler import UNASKED
 from conformance.runner import coupler_cases
 from foundation.modbus import MAX_PDU_BYTES
 from laboratory.experiments.positioning.worlds import WORLDS
@@ -109,7 +108,6 @@ def coupler_sections() -> dict[str, str]:
         "blocks": table("address | words | block | read with | write with", blocks),
         "registers": table("address | words | register | read with | write with | unit | meaning", own),
         "status": table("bit | mask | meaning", ((bit, f"{mask:#06x}", text) for bit, mask, text in STATUS)),
-        "unasked": table("clause | what | why", UNASKED),
         "cases": cases_by_clause(coupler_cases()),
     }
 

@@ -22,5 +22,5 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> ShiftedClock:
     """The coupler's suite and the coupler share a clock that is moved instead of waited for."""
     clock = ShiftedClock()
     monkeypatch.setattr(ThreadedCoupler, "clock", clock)
-    monkeypatch.setattr("conformance.coupler.frames.time", clock)
+    monkeypatch.setattr("conformance.coupler.steps.time", clock)
     return clock

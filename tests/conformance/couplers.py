@@ -87,6 +87,9 @@ class ThreadedCoupler(Threaded):
         super().__init__()
         self.written: list[ValveImage] = []
         self._valves = ValveCommands(ValveDrive((0,) * 6, (0.0,) * 6), MOTION_WATCHDOG_NS)
+        self.take(ValveImage(0, 0, (0.0,) * 6))  # loads what is compiled, before anybody waits for it
+        self.sensors()
+        self.written.clear()
 
     def make(self) -> Coupler:
         """The coupler to serve."""

@@ -1,14 +1,12 @@
 """The one mutator of the conformance suites: a controller is broken in a hook or in a place of its source.
 
-Every table of broken controllers is made of ``hooked`` and ``edited``; ``tests.conformance.mutant_report``
-asks them all.
+Every table of broken controllers is made of ``hooked`` and ``edited``.
 """
 
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
-from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -34,16 +32,12 @@ Edit = tuple[str, str, str]
 
 
 class BrokenController(NamedTuple):
-    """A controller that breaks one clause. ``unseen``: why nobody can tell from outside, if so.
-
-    ``case``: the one meant for it, which is asked first.
-    """
+    """A controller that breaks one clause; ``case`` must catch it."""
 
     name: str
     clause: str
     make: Make
     key: LinkKey | None = None
-    unseen: str = ""
     case: int = 0
 
 
@@ -65,11 +59,11 @@ def edited(*edits: Edit, key: bool = False) -> Make:
 
 class _Copied(ControllerUnderTest):
     def __init__(self, edits: tuple[Edit, ...], key: bool) -> None:
-        copies = _copies(edits)
-        self._server_class: Any = copies["server"].ReferenceServer
-        self._inbox_class: Any = copies["inbox"].Inbox
+        copied = copies(MODULES, edits)
+        self._server_class: Any = copied["server"].ReferenceServer
+        self._inbox_class: Any = copied["inbox"].Inbox
         # The key, too, is made by the changed copy.
-        self.link_key = copies["authentication"].LinkKey(bytes(range(32))) if key else None
+        self.link_key = copied["authentication"].LinkKey(bytes(range(32))) if key else None
         super().__init__()
 
     def make_server(self) -> ReferenceServer:
@@ -81,23 +75,24 @@ class _Copied(ControllerUnderTest):
 
 @cache
 def _source(module: str) -> str:
-    return ROOT.joinpath(*Path(*MODULES[module].split(".")).with_suffix(".py").parts).read_text()
+    return ROOT.joinpath(*module.split(".")).with_suffix(".py").read_text()
 
 
-def _copies(edits: tuple[Edit, ...]) -> dict[str, ModuleType]:
-    originals = {name: importlib.import_module(name) for name in MODULES.values()}
-    copies: dict[str, ModuleType] = {}
+def copies(modules: Mapping[str, str], edits: tuple[Edit, ...]) -> dict[str, ModuleType]:
+    """Copies of ``modules``, in the order in which they need one another, in which ``edits`` are made."""
+    originals = {name: importlib.import_module(name) for name in modules.values()}
+    copied: dict[str, ModuleType] = {}
     try:
-        for short, name in MODULES.items():
-            text = _source(short)
+        for short, name in modules.items():
+            text = _source(name)
             for _, old, new in (edit for edit in edits if edit[0] == short):
                 assert old in text, f"{name} has no {old!r}"
                 text = text.replace(old, new)
-            sys.modules[name] = copies[short] = ModuleType(name)
-            exec(compile(text, name, "exec"), copies[short].__dict__)
+            sys.modules[name] = copied[short] = ModuleType(name)
+            exec(compile(text, name, "exec"), copied[short].__dict__)
     finally:
         sys.modules.update(originals)
-    return copies
+    return copied
 
 
 def reworked(data: bytes, kind: type, rework: Callable[[Any], Any]) -> bytes:

@@ -62,88 +62,78 @@ def _flag(bit: int, value: bool, states: deque[State]) -> dict[str, Any]:
 
 
 ZERO = (0.0,) * 6
-NO_OFFSET = "a count from any start has no right value"
-CANNOT_FAIL = "a client cannot make the fieldbus or a scan fail"
-MAY_BE_SO = "a value that a sound controller may show"
-# Clause, the case that is meant to catch it, or why none can.
-Row = tuple[str, int, str]
+Row = tuple[str, int]  # clause, and the case that must catch it
 STALE: dict[str, Row] = {
-    "time_ns": ("7.7", 511, ""),
-    "cycle": ("7.7", 0, NO_OFFSET),
-    "group_state": ("7.2", 811, ""),
-    "fault": ("7.6", 514, ""),
-    "severity": ("7.6", 514, ""),
-    "flags": ("7.7", 571, ""),
-    "motion_id": ("7.8", 516, ""),
-    "motion_done": ("7.8", 516, ""),
-    "segment": ("6.8", 557, ""),
-    "q_meas": ("7.7", 513, ""),
-    "q_cmd": ("7.7", 513, ""),
-    "valves": ("7.4", 571, ""),
-    "X_BT": ("7.7", 513, ""),
-    "X_BT_cmd": ("7.7", 577, ""),
-    "supply_bar": ("7.7", 0, MAY_BE_SO),
-    "overruns": ("7.7", 0, CANNOT_FAIL),
-    "references_lost": ("5.2", 310, ""),
-    "references_dropped": ("5.2", 310, ""),
-    "plant_exchange_failures": ("7.7", 0, CANNOT_FAIL),
-    "stream_number": ("12.3", 586, ""),
+    "time_ns": ("7.7", 511),
+    "group_state": ("7.2", 811),
+    "fault": ("7.6", 514),
+    "severity": ("7.6", 514),
+    "flags": ("7.7", 571),
+    "motion_id": ("7.8", 516),
+    "motion_done": ("7.8", 516),
+    "segment": ("6.8", 557),
+    "q_meas": ("7.7", 513),
+    "q_cmd": ("7.7", 513),
+    "valves": ("7.4", 571),
+    "X_BT": ("7.7", 513),
+    "X_BT_cmd": ("7.7", 577),
+    "references_lost": ("5.2", 310),
+    "references_dropped": ("5.2", 310),
+    "stream_number": ("12.3", 586),
 }
 FROZEN: dict[str, Row] = {
-    "time_ns": ("7.7", 413, ""),
-    "cycle": ("7.7", 413, ""),
-    "group_state": ("7.2", 810, ""),
-    "fault": ("7.6", 514, ""),
-    "severity": ("7.6", 514, ""),
-    "flags": ("7.7", 507, ""),
-    "motion_id": ("7.8", 527, ""),
-    "motion_done": ("7.8", 527, ""),
-    "segment": ("6.8", 557, ""),
-    "q_meas": ("7.7", 513, ""),
-    "q_cmd": ("7.7", 513, ""),
-    "valves": ("7.7", 518, ""),
-    "X_BT": ("7.7", 518, ""),
-    "X_BT_cmd": ("6.7", 527, ""),
-    "references_lost": ("5.2", 310, ""),
-    "references_dropped": ("5.2", 310, ""),
-    "stream_number": ("12.3", 550, ""),
+    "time_ns": ("7.7", 413),
+    "cycle": ("7.7", 413),
+    "group_state": ("7.2", 810),
+    "fault": ("7.6", 514),
+    "severity": ("7.6", 514),
+    "flags": ("7.7", 507),
+    "motion_id": ("7.8", 527),
+    "motion_done": ("7.8", 527),
+    "segment": ("6.8", 557),
+    "q_meas": ("7.7", 513),
+    "q_cmd": ("7.7", 513),
+    "valves": ("7.7", 518),
+    "X_BT": ("7.7", 518),
+    "X_BT_cmd": ("6.7", 527),
+    "references_lost": ("5.2", 310),
+    "references_dropped": ("5.2", 310),
+    "stream_number": ("12.3", 550),
 }
 SWAPPED: dict[tuple[str, str], Row] = {
-    ("time_ns", "cycle"): ("7.7", 413, ""),
-    ("fault", "severity"): ("7.6", 514, ""),
-    ("q_meas", "q_cmd"): ("7.7", 518, ""),
-    ("q_cmd", "valves"): ("7.7", 513, ""),
-    ("X_BT", "X_BT_cmd"): ("6.7", 518, ""),
-    ("overruns", "lateness_p50_us"): ("7.7", 0, MAY_BE_SO),
-    ("lateness_p50_us", "lateness_p99_us"): ("7.7", 512, ""),
-    ("lateness_p99_us", "lateness_max_us"): ("7.7", 512, ""),
-    ("references_lost", "references_dropped"): ("5.2", 310, ""),
+    ("time_ns", "cycle"): ("7.7", 413),
+    ("fault", "severity"): ("7.6", 514),
+    ("q_meas", "q_cmd"): ("7.7", 518),
+    ("q_cmd", "valves"): ("7.7", 513),
+    ("X_BT", "X_BT_cmd"): ("6.7", 518),
+    ("lateness_p50_us", "lateness_p99_us"): ("7.7", 512),
+    ("lateness_p99_us", "lateness_max_us"): ("7.7", 512),
+    ("references_lost", "references_dropped"): ("5.2", 310),
 }
 ALWAYS: dict[str, tuple[dict[str, Any], Row]] = {
-    "no valve": ({"valves": ZERO}, ("7.7", 518, "")),
-    "done": ({"motion_done": True}, ("7.8", 516, "")),
-    "no supply": ({"supply_bar": 0.0}, ("7.7", 512, "")),
-    "segment 1": ({"segment": 1}, ("6.8", 557, "")),
-    "no severity": ({"severity": Severity.NONE}, ("7.6", 514, "")),
-    "a stop": ({"severity": Severity.STOP}, ("7.6", 514, "")),
-    "standby": ({"group_state": GroupState.STANDBY}, ("7.2", 811, "")),
+    "no valve": ({"valves": ZERO}, ("7.7", 518)),
+    "done": ({"motion_done": True}, ("7.8", 516)),
+    "no supply": ({"supply_bar": 0.0}, ("7.7", 512)),
+    "segment 1": ({"segment": 1}, ("6.8", 557)),
+    "no severity": ({"severity": Severity.NONE}, ("7.6", 514)),
+    "a stop": ({"severity": Severity.STOP}, ("7.6", 514)),
+    "standby": ({"group_state": GroupState.STANDBY}, ("7.2", 811)),
 }
 FLAGS: dict[tuple[int, bool], tuple[str, Row]] = {
-    (FLAG_PLANT_LINK_OK, False): ("no plant link", ("7.7", 518, "")),
-    (FLAG_PLANT_LINK_OK, True): ("a plant link", ("7.7", 0, CANNOT_FAIL)),
-    (FLAG_EMERGENCY_LATCHED, False): ("no emergency", ("7.4", 507, "")),
-    (FLAG_EMERGENCY_LATCHED, True): ("an emergency", ("7.4", 509, "")),
-    (FLAG_SETTLED, False): ("not settled", ("7.8", 517, "")),
-    (FLAG_SETTLED, True): ("settled", ("7.8", 516, "")),
-    (FLAG_STREAMING, False): ("no stream", ("12.2", 544, "")),
-    (FLAG_STREAMING, True): ("a stream", ("7.7", 821, "")),
+    (FLAG_PLANT_LINK_OK, False): ("no plant link", ("7.7", 518)),
+    (FLAG_EMERGENCY_LATCHED, False): ("no emergency", ("7.4", 507)),
+    (FLAG_EMERGENCY_LATCHED, True): ("an emergency", ("7.4", 509)),
+    (FLAG_SETTLED, False): ("not settled", ("7.8", 517)),
+    (FLAG_SETTLED, True): ("settled", ("7.8", 516)),
+    (FLAG_STREAMING, False): ("no stream", ("12.2", 544)),
+    (FLAG_STREAMING, True): ("a stream", ("7.7", 821)),
 }
 
 
 def _of_fields() -> Iterator[BrokenController]:
     def broken(name: str, row: Row, make: Make) -> BrokenController:
-        clause, case, unseen = row
-        return BrokenController(name, clause, make, unseen=unseen, case=case)
+        clause, case = row
+        return BrokenController(name, clause, make, case=case)
 
     for name, row in STALE.items():
         yield broken(f"{name} 200 ms old", row, _shows(partial(_stale, name)))

@@ -17,8 +17,7 @@ from conformance.runner import Manner, coupler_cases, run_coupler, run_reference
 from protocol.datagram_layout import Kind
 from protocol.reference_messages import Acknowledgement
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.coupler.page_server import PageServer
-from tests.conformance.coupler.rules import Rules
+from tests.conformance.coupler_mutants import C, CouplerMutant
 from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
 
 simulated = pytest.mark.usefixtures("network")
@@ -144,8 +143,8 @@ def test_the_command_writes_records_and_ends_with_its_verdict(tmp_path: Path) ->
 @pytest.mark.realtime
 @pytest.mark.usefixtures("clock")
 def test_records_of_a_failure_name_it(tmp_path: Path, clock: ShiftedClock) -> None:
-    refuses_under_0x80 = Rules(refusal=lambda _, code: bytes([0x80, code]))
-    with PageServer(refuses_under_0x80, clock) as coupler:
+    edit = C, "ExceptionResponse(request.function, code)", "ExceptionResponse(0, code)"
+    with CouplerMutant("refuses under 0x80", 612, (edit,)).make(clock) as coupler:
         write_records(run_coupler("127.0.0.1", coupler.port, numbers=[612]), tmp_path)
     failure = ElementTree.parse(tmp_path / "junit.xml").getroot().find("testcase/failure")
     assert failure is not None
