@@ -19,8 +19,8 @@ from testbed.reporting.console import QuietBar
 from testbed.scenarios.arms import arm_directory
 from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from vision_pc.application.program import Program
+from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JudgedLook
-from vision_pc.shell.installed_programs import every_program
 
 CONFIGS = usual_configs()  # as the command line's --config-dir
 Assignments = Mapping[str, Any]
@@ -183,13 +183,13 @@ def lockstep(
 ) -> SimulatedRig:
     """A rig in simulated time, in the world that ``scenario`` draws for ``seed`` (None: as configured).
 
-    The same seed is the same run. ``programs``: of your own, beside those of the API and of installed
-    packages. ``arm``: a name or a directory, as the command line's ``--arm``. ``record``: a directory in
-    which plant, controller and vision are recorded until the rig is closed.
+    The same seed is the same run. ``programs``: of your own, beside those of the API.
+    ``arm``: a name or a directory, as the command line's ``--arm``. ``record``: a directory in which plant,
+    controller and vision are recorded until the rig is closed.
     Raises ConfigurationError, and OSError where nothing can be recorded.
     """
     settings = configured(config_dir, arm, scenario, seed, set)
-    rig = LockstepRig(settings, seed, RunLog(), programs=(*every_program(), *programs))
+    rig = LockstepRig(settings, seed, RunLog(), programs=(*PROGRAMS, *programs))
     world = f"{settings.arm.name}, {scenario or 'as configured'}, seed {seed}"
     return SimulatedRig(rig, world, None if record is None else Path(record))
 

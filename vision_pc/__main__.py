@@ -6,30 +6,22 @@ from typing import Any
 
 from foundation.configuration import load
 from foundation.event_log import EventLog
-from foundation.extensions import lines
 from foundation.service_main import ServiceOptions, ServiceProgram, service_main
 from nominal_arm.description import NominalArm
 from vision_pc.application.program import Program
+from vision_pc.application.programs import PROGRAMS
 from vision_pc.config.vision import VisionConfig
-from vision_pc.shell.installed_programs import every_program, installed_programs
 from vision_pc.shell.service import VisionService
 
 
-def main(argv: list[str] | None = None, programs: Sequence[Program[Any, Any]] | None = None) -> int:
-    """Run the vision PC with ``programs``; return its exit status, see ``service_main``.
-
-    None: ours, and those of installed packages.
-    """
+def main(argv: list[str] | None = None, programs: Sequence[Program[Any, Any]] = PROGRAMS) -> int:
+    """Run the vision PC with ``programs``; return its exit status, see ``service_main``."""
 
     def made(options: ServiceOptions, log: EventLog) -> VisionService:
         files, overrides = options.config_dir, options.overrides
         arm = load(NominalArm, files / "arm.yaml", overrides.get("arm"))
         config = load(VisionConfig, files / "vision.yaml", overrides.get("vision"))
-        if programs is not None:
-            return VisionService(config, arm, options, log, programs)
-        for cause, told in lines(installed_programs()):
-            log.write("program_left_out", "error", cause=cause, detail=told)
-        return VisionService(config, arm, options, log, every_program())
+        return VisionService(config, arm, options, log, programs)
 
     service = ServiceProgram(
         name="vision_pc",

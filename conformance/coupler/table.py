@@ -119,7 +119,8 @@ READING: tuple[tuple[int, str, str, list[Step]], ...] = (
         Send(("0001 0000 0002 01 07 0002 0000 0006 01 08 0000 1234 0003 0000 0006 01 04 7000 0001",),
         (1, 2, 3))]),
     (607, "1.4", "a wrong protocol or length, or a master that hangs up, ends its connection and no other", [
-        *(step for number, head in enumerate(("0001 0006", "8000 0006", "0000 0000", "0000 0001", "0000 00FF"))
+        *(step for number, head in enumerate(
+            ("0001 0006", "8000 0006", "0000 0000", "0000 0001", "0000 00FF"))
         for step in (
             Send((f"0007 0000 0006 01 03 0000 0001 0008 {head} 01 03 0000 0001",), (7,), True, f"b{number}"),
             Ask("03 0000 0001"))), *(step for size in (4, 14, 18, 22) for step in (

@@ -8,7 +8,6 @@ from controller.core.excitation.program import ExcitationProgram, ExcitationSamp
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, ScanState, initial_state
 from controller.core.settings import settings_from
-from controller.core.valve_wear import empty_watch, watch_wear
 from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
@@ -31,9 +30,6 @@ class ScanProgram:
         self.samples: list[ExcitationSample] = []
         self._state = initial_state(self.settings)
         self.excitation = ExcitationProgram(self._state)
-        known = config.commissioned is not None and config.commissioned.valves.pressure_compensated
-        # Flow that goes with the load says nothing of its valve.
-        self._wear = empty_watch() if known else None
 
     @property
     def capabilities(self) -> int:
@@ -50,10 +46,7 @@ class ScanProgram:
         """What one scan of ``inputs`` puts out."""
         if self.plan is None:
             self._state, output = scan(self.settings, self._state, inputs)
-            if self._wear is None:
-                return output
-            self._wear, worn = watch_wear(self.settings, self._wear, self._state, inputs.dt_s)
-            return output._replace(events=output.events + worn) if worn else output
+            return output
         self.excitation, output, sample = excitation_scan(self.settings, self.plan, self.excitation, inputs)
         if sample is not None:
             self.samples.append(sample)

@@ -23,7 +23,6 @@ from controller.core.scan_types import (
     ScanState,
     to_state,
 )
-from controller.core.valve_wear import WORN, in_words
 from controller.shell.controller_figures import FIGURES
 from controller.shell.cyclic_task import CyclicTask, warm_up
 from controller.shell.plant_link import PlantLink
@@ -69,7 +68,7 @@ _STATE_STATISTICS_NS = 1_000_000_000  # the window of the percentiles in the sta
 _SHUTDOWN_S = 1.4  # to ramp down after SIGTERM; the process must be gone within 2 s
 _AFTER_FAULT_NS = 300_000_000  # the flight recorder also keeps what followed
 _NS_PER_MS = 1_000_000
-_LEVELS: dict[str, Level] = {"fault": "error", "astray": "warning", WORN: "warning"}
+_LEVELS: dict[str, Level] = {"fault": "error", "astray": "warning"}
 _LIMITS = {"scans": Limit(1.0, "of the controller's scans were late")}
 
 
@@ -204,8 +203,6 @@ class ControllerService:
             code = next((_code(each) for each in requests if number == [str(each.command_id)]), None)
             if code is not None:
                 fields["command"] = code
-            if event.name == WORN:
-                fields["detail"] = in_words(event.cause, event.value)
             self._log.write_repeated((event.cause, code), name.lower(), level, **fields)
             if event.name == "fault" and self._record_dir is not None and self._dump_due_ns is None:
                 self._dump_due_ns = now_ns + _AFTER_FAULT_NS

@@ -285,7 +285,7 @@ class Plant:
         """Break something from simulated time ``start_ns`` on (None: now), for ``duration_ns`` or for good.
 
         What concerns camera and coupler is kept here too, for those who play them to ask. Raises
-        RequestRefused as FaultSchedule.inject does, and ``refused.disturbance`` for one of another package
+        RequestRefused as FaultSchedule.inject does, and ``refused.disturbance`` for one of your own
         whose effects are nothing that a plant takes.
         """
         if isinstance(fault, OwnFault):

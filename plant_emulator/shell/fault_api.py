@@ -24,25 +24,24 @@ from fastapi.responses import JSONResponse
 from starlette.types import Scope
 
 from foundation.event_log import EventLog, process_log
-from foundation.extensions import lines
 from foundation.periods import Policy, take_policy
 from foundation.rest.files import add_docs
 from foundation.rest.problems import Refusal, problem
 from foundation.rest.server import RestServer, install_problems
 from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
+from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.core.faults.schedule import (
     MOST_BYTES,
+    FaultOrder,
     FaultState,
     MendOrder,
     Order,
     OrderAnswer,
+    OrderMessage,
     PlantMessage,
     RestartOrder,
-    message_with,
-    order_with,
 )
-from plant_emulator.shell.fault_desk import every_kind, installed_faults, own_kinds
 from protocol.errors import LinkLost, RequestRefused
 
 PLACES = 64  # connections
@@ -83,7 +82,6 @@ class DeskLink:
     def __init__(self, link: socket.socket) -> None:
         self.ended = asyncio.Event()
         self._link = link
-        self._message = message_with(own_kinds())
         self._numbers = itertools.count(1)
         self._one = asyncio.Lock()
         self._told = asyncio.Event()
@@ -110,7 +108,7 @@ class DeskLink:
         """The faults that an order made or mended. Raises RequestRefused; LinkLost without an answer."""
         async with self._one, _patience():
             self._waiting = asyncio.get_running_loop().create_future()
-            message = self._message(number=next(self._numbers), order=order)
+            message = OrderMessage(number=next(self._numbers), order=order)
             self._link.send(message.model_dump_json().encode())
             answer = await self._waiting
             while answer.number != message.number:  # one that came too late for its own order
@@ -150,10 +148,7 @@ async def _patience() -> Any:
 
 
 def create_app(plant: FaultedPlant, allowed: bool, origins: Sequence[str] = ()) -> FastAPI:
-    """The application over one plant; the disturbances of installed packages are kinds like ours.
-
-    Pages of ``origins`` may read its answers.
-    """
+    """The application over one plant. Pages of ``origins`` may read its answers."""
     app = FastAPI(title="Longreach plant emulator", version="1", docs_url=None, redoc_url=None)
     if origins:
         app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"])
@@ -168,7 +163,7 @@ def _add_reading(app: FastAPI, plant: FaultedPlant, allowed: bool) -> None:
     told = JSONResponse(
         [
             {"kind": kind, "description": model.__doc__, "schema": model.model_json_schema()}
-            for kind, model in every_kind().items()
+            for kind, model in FAULTS.items()
         ]
     ).body
 
@@ -205,16 +200,12 @@ def _add_reading(app: FastAPI, plant: FaultedPlant, allowed: bool) -> None:
 
 
 def _add_changing(app: FastAPI, plant: FaultedPlant) -> None:
-    order_model = order_with(own_kinds())
-
-    async def inject(order: Any, response: Response) -> dict[str, Any]:
+    @app.post("/faults", status_code=HTTPStatus.CREATED)
+    async def inject(order: FaultOrder, response: Response) -> dict[str, Any]:
         """Break something, now or later; the answer names its number."""
         (injection,) = await plant.ask(order)
         response.headers["location"] = f"/faults/{injection['number']}"
         return injection
-
-    inject.__annotations__["order"] = order_model
-    app.post("/faults", status_code=HTTPStatus.CREATED)(inject)
 
     @app.delete("/faults/{number}")
     async def clear(number: int) -> dict[str, Any]:
@@ -282,8 +273,6 @@ def main() -> int:
         socket.socket(fileno=link_fd) as link,
         asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner,
     ):
-        for cause, told in lines(installed_faults()):
-            log.write("disturbance_left_out", "error", cause=cause, detail=told)
         config = FaultApiConfig.model_validate_json(sys.stdin.buffer.read())
         take_policy(cast(Policy, scheduling))
         runner.run(serve(config, listener, link, log))

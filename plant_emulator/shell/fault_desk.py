@@ -2,61 +2,24 @@
 
 import asyncio
 import contextlib
-import re
 import socket
 from collections.abc import Callable
-from functools import cache
-from typing import Any
 
 from foundation.event_log import EventLog
-from foundation.extensions import Extensions, installed, of_type
 from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out, fault_state, true_points
-from plant_emulator.core.faults.kinds import FAULTS, OwnFault
 from plant_emulator.core.faults.schedule import (
     MOST_BYTES,
     Injection,
+    OrderMessage,
     PlantMessage,
     RestartOrder,
-    message_with,
 )
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.child_process import ended, started
-from protocol.errors import ConfigurationError, LinkLost
-
-GROUP = "longreach.disturbances"
-_KIND = re.compile(r"[a-z][a-z0-9_]*")
-
-
-@cache
-def installed_faults() -> Extensions[type[OwnFault]]:
-    """The classes that can be injected beside ours, and those that were left out."""
-    return installed(GROUP, FAULTS, _fault_class)
-
-
-def own_kinds() -> tuple[type[OwnFault], ...]:
-    """Those that can be injected."""
-    return tuple(installed_faults().found.values())
-
-
-def every_kind() -> dict[str, type[Any]]:
-    """Kind to class, ours first."""
-    return {**FAULTS, **installed_faults().found}
-
-
-def _fault_class(name: str, value: Any) -> type[OwnFault]:
-    kind: type[OwnFault] = of_type(type, "a class", value)
-    if not issubclass(kind, OwnFault):
-        why = f"{kind.__name__} is no plant_emulator.core.faults.kinds.OwnFault"
-        raise ConfigurationError("extension.wrong_type", why)
-    called = kind.model_fields["kind"].default
-    if called != name or not _KIND.fullmatch(name):
-        why = f"its kind is {called!r}: wanted the same word, such as encoder_wobble, as its default"
-        raise ConfigurationError("extension.wrong_name", why)
-    return kind
-
+from protocol.errors import LinkLost
 
 _TOLD_EVERY_NS = 50_000_000
 
@@ -82,7 +45,6 @@ class FaultDesk:
         self._config = config
         self._log = log
         self._restart = restart
-        self._message = message_with(own_kinds())
         self._link, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setblocking(False)
         self._told: tuple[tuple[Injection, ...], tuple[Injection, ...]] | None = None
@@ -125,7 +87,7 @@ class FaultDesk:
         except OSError:
             data = b""
         if data:
-            message = self._message.model_validate_json(data)
+            message = OrderMessage.model_validate_json(data)
             self._tell(carry_out(message, self._plant, self._scene.cover))
             if isinstance(message.order, RestartOrder):
                 self._log.write("restart_asked")

@@ -2,15 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from rich.table import Table
 from rich.text import Text
 
 from foundation.configuration import parse_overrides
-from foundation.extensions import Extensions
 from plant_emulator.core.faults.kinds import FAULTS
-from plant_emulator.shell.fault_desk import every_kind, installed_faults
 from protocol.errors import ConfigurationError
 from testbed.arms import check_arm
 from testbed.realtime import doctor
@@ -18,7 +15,7 @@ from testbed.realtime.doctor import HealthCheck, arm_check
 from testbed.realtime.launch import ports_in_use
 from testbed.reporting.console import bars, out, words, write_json
 from testbed.scenarios.scenario import Overrides, Settings, load_settings, loaders
-from vision_pc.shell.installed_programs import every_program, installed_programs
+from vision_pc.application.programs import PROGRAMS
 
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
 _LOCK = Path("requirements.lock")
@@ -42,7 +39,6 @@ def examine(config_dir: Path, assignments: list[str], runs: Path, json_file: Pat
 
 def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[HealthCheck]:
     yield from doctor.machine_checks(_LOCK, runs)
-    yield _extensions_check()
     for name, load in loaders(config_dir, overrides).items():
         yield doctor.configuration_check(name, load)
     try:
@@ -54,16 +50,6 @@ def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[
     yield _drawing_check(settings)
     for use in ports_in_use(settings):
         yield doctor.port_check(use)
-
-
-def _extensions_check() -> HealthCheck:
-    """What installed packages add to programs and disturbances, and what of it cannot be used."""
-    both = installed_programs(), installed_faults()
-    names = [f"{name} of {package}" for some in both for name, package in some.packages.items()]
-    wrong = [str(one) for some in both for one in some.left_out]
-    found = "; ".join(wrong or names) or "none"
-    advice = "mend or uninstall the package; the rest works without it" if wrong else ""
-    return HealthCheck("extensions", "warning" if wrong else "ok", found, advice)
 
 
 def _drawing_check(settings: Settings) -> HealthCheck:
@@ -86,49 +72,13 @@ def _peers_check(settings: Settings) -> HealthCheck:
     return HealthCheck("links", "failed" if wrong else "ok", "; ".join(wrong) or "each finds its peer")
 
 
-_OURS = "longreach"
-_KINDS = ("program", "disturbance")
-
-
-class Runnable(NamedTuple):
-    """One row: what it is, its name, what it does, whose it is, and why it cannot be run ("": it can)."""
-
-    kind: str
-    name: str
-    shows: str
-    package: str
-    trouble: str = ""
-
-
-def list_programs(json_file: Path | None) -> bool:
-    """Whether all that installed packages add can be run; prints it beside ours."""
-    rows = [*_programs(), *_disturbances()]
-    for kind in _KINDS:
-        fine = [(row.name, row.shows, row.package) for row in rows if row.kind == kind and not row.trouble]
-        out.print(words(f"{kind}s", ("name", "what it does", "of"), fine))
-    wrong = [(row.kind, row.name, row.package, row.trouble) for row in rows if row.trouble]
-    if wrong:
-        out.print(words("left out", ("", "name", "of", "why"), wrong))
-    told = {f"{kind}s": [row._asdict() for row in rows if row.kind == kind] for kind in _KINDS}
-    write_json(json_file, told)
-    return not wrong
-
-
-def _programs() -> Iterator[Runnable]:
-    packages = installed_programs().packages
-    for program in every_program():
-        yield Runnable("program", program.name, program.title, packages.get(program.name, _OURS))
-    yield from _left_out("program", installed_programs())
-
-
-def _disturbances() -> Iterator[Runnable]:
-    packages = installed_faults().packages
-    for name, kind in every_kind().items():
-        told = (kind.__doc__ or "").partition("\n")[0]
-        yield Runnable("disturbance", name, told, _OURS if name in FAULTS else packages[name])
-    yield from _left_out("disturbance", installed_faults())
-
-
-def _left_out(kind: str, extensions: Extensions[Any]) -> Iterator[Runnable]:
-    for one in extensions.left_out:
-        yield Runnable(kind, one.declared.name, "", one.declared.package, f"{one.cause}: {one.why}")
+def list_programs(json_file: Path | None) -> None:
+    """Print what can be run and what can be broken."""
+    found = {
+        "programs": [(program.name, program.title) for program in PROGRAMS],
+        "disturbances": [(name, (kind.__doc__ or "").partition("\n")[0]) for name, kind in FAULTS.items()],
+    }
+    for what, rows in found.items():
+        out.print(words(what, ("name", "what it does"), rows))
+    figures = {what: [{"name": name, "shows": shows} for name, shows in rows] for what, rows in found.items()}
+    write_json(json_file, figures)

@@ -61,13 +61,10 @@ def doctor(
 
 @app.command(epilog="Example: longreach programs --json programs.json")
 def programs(json_file: JsonFile = None) -> None:
-    """Programs and disturbances: ours, and what installed packages add.
-
-    Exit status 1 when one of an installed package cannot be run.
-    """
+    """The programs that can be run and the disturbances that can be injected."""
     from testbed.cli.doctor import list_programs
 
-    raise typer.Exit(0 if list_programs(json_file) else 1)
+    list_programs(json_file)
 
 
 @app.command(epilog="Example: longreach init   then: edit configs/vision.yaml")

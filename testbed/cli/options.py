@@ -129,7 +129,7 @@ class DemoOptions(NamedTuple):
 
 
 class Disturbed(NamedTuple):
-    """What is run and broken, of ours or of an installed package; `longreach programs` lists both."""
+    """What is run and broken; `longreach programs` lists both."""
 
     program: Annotated[
         list[str] | None,

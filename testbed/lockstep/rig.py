@@ -28,11 +28,11 @@ from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.steps import SessionStore, StartCheck
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
+from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.types import FrameObservation, Look
-from vision_pc.shell.installed_programs import every_program, installed_programs
 from vision_pc.shell.recording.recorded_ports import record_programs
 from vision_pc.shell.recording.vision_recorder import EYES, FILE, SIMULATED, VisionRecorder
 
@@ -138,7 +138,7 @@ class LockstepRig:
 
     Link, arm, eyes and programs are the service's own classes. ``sight``: what the eyes measure with in place
     of rendered pictures, such as ``simulated_sight`` with its model and seed bound.
-    ``programs``: None for ours and those of installed packages. ``parts``: as the World's.
+    ``programs``: None for ours. ``parts``: as the World's.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class LockstepRig:
         self.application = VisionApplication(
             arm, self.eyes, self.link, self.camera, vision.programs, boom, self._log
         )
-        self._programs = by_name(every_program() if programs is None else programs)
+        self._programs = by_name(PROGRAMS if programs is None else programs)
         self.world.connect()
 
     def record_in(self, directory: Path, session: str) -> LockstepRecordings:
@@ -187,7 +187,7 @@ class LockstepRig:
         """
         if kind not in self._programs:
             known = ", ".join(self._programs)
-            why = f"no program {kind}; known: {known}{installed_programs().why_not(kind)}"
+            why = f"no program {kind}; known: {known}"
             raise RequestRefused("refused.unknown_program", why)
         program = self._programs[kind]
         try:

@@ -39,8 +39,8 @@ from testbed.recordings.replayed_ports import (
 )
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.program import Program, by_name
+from vision_pc.application.programs import PROGRAMS
 from vision_pc.core.ports import Eyes
-from vision_pc.shell.installed_programs import every_program
 from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
 
@@ -137,7 +137,7 @@ class DecisionReplay:
         self._operations = RecordedOperations(recording.path)
         self.damages = self._operations.damages
         self._answers = ReplayedAnswers(self._operations, self.comparison)
-        self._programs = by_name(every_program() if programs is None else programs)
+        self._programs = by_name(PROGRAMS if programs is None else programs)
         self._arm = ReplayedArm(self._answers)
         self._application = VisionApplication(
             self._arm,

@@ -113,7 +113,7 @@ def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...
 
 
 def _is_ours(said: Mapping[str, Any]) -> bool:
-    """Whether it may act on pictures: one of another package acts on valves, encoders, pump, load alone."""
+    """Whether it may act on pictures: one of your own acts on valves, encoders, pump, load alone."""
     return said.get("kind") in FAULTS
 
 

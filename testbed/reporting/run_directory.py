@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from rich.table import Table
 from rich.text import Text
 
-from controller.core.valve_wear import WORN, in_words
 from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.controllers import ControllerKind
@@ -91,15 +90,9 @@ def present(
 
 
 def warnings_in(events: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What ``events`` ask a person to do, each once: valves that have worn, a marker that hangs elsewhere."""
-    found = []
-    for event in events:
-        if event.get("misplaced_marker"):
-            found.append(event["misplaced_marker"]["detail"])
-        said = event.get("what", {**event, "name": event.get("event")})  # lockstep has the scan's event whole
-        if isinstance(said, Mapping) and said.get("name") == WORN:
-            found.append(in_words(said["cause"], said["value"]))
-    return list(dict.fromkeys(found))
+    """What ``events`` ask a person to do, each once: a marker that hangs elsewhere."""
+    doubted = (event["misplaced_marker"] for event in events if event.get("misplaced_marker"))
+    return list(dict.fromkeys(marker["detail"] for marker in doubted))
 
 
 def read_events(directory: Path) -> list[dict[str, Any]]:

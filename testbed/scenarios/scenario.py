@@ -20,8 +20,8 @@ from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.config.service import PlantServiceConfig
-from plant_emulator.core.faults.schedule import FaultOrder, order_with
-from plant_emulator.shell.fault_desk import every_kind, installed_faults, own_kinds
+from plant_emulator.core.faults.kinds import FAULTS
+from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError
 from vision_pc.config.vision import VisionConfig
 
@@ -49,7 +49,7 @@ def named_request(word: str) -> NamedRequest:
 
 
 def fault_orders(words: Sequence[str]) -> tuple[FaultOrder, ...]:
-    """What to break, of ours and of installed packages. ``start_after_s`` and ``duration_s`` say when.
+    """What to break. ``start_after_s`` and ``duration_s`` say when.
 
     Raises ConfigurationError.
     """
@@ -58,14 +58,14 @@ def fault_orders(words: Sequence[str]) -> tuple[FaultOrder, ...]:
 
 def _order(word: str) -> FaultOrder:
     kind, body = named_request(word)
-    if kind not in every_kind():
-        known = f"{', '.join(every_kind())}{installed_faults().why_not(kind)}"
+    if kind not in FAULTS:
+        known = ", ".join(FAULTS)
         raise ConfigurationError(
             "configuration.unknown_fault", f"--fault {kind}: no such kind; known: {known}"
         )
     when = {key: body[key] for key in ("start_after_s", "duration_s") if key in body}
     fault = {"kind": kind} | {key: value for key, value in body.items() if key not in when}
-    return validated(order_with(own_kinds()), {"fault": fault} | when, f"--fault {word}")
+    return validated(FaultOrder, {"fault": fault} | when, f"--fault {word}")
 
 
 def _parts(word: str) -> list[str]:

@@ -11,14 +11,13 @@ import typer
 from rich.table import Table
 
 from foundation.configuration import merged, parse_overrides
-from laboratory.campaigns.campaign import CampaignRequest, Task, sources_hash
+from laboratory.campaigns.campaign import CampaignRequest, Task
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, seeds
 from laboratory.campaigns.options import Assignments, Scenario
 from laboratory.campaigns.rows import UNKNOWN, XYZ, xyz
 from laboratory.experiments.positioning.corrected import DrawnSettings, positioning_tasks, stops_table
 from laboratory.experiments.positioning.corrected_run import drawn_by, operate, prepared, true_error_mm
 from laboratory.experiments.positioning.results import quantile, share, worst_mm
-from plant_emulator.shell.fault_desk import installed_faults
 from protocol.errors import LongreachError
 from testbed.demonstration.runs import run_lockstep
 from testbed.lockstep.rig import LockstepRig
@@ -28,7 +27,6 @@ from testbed.reporting.run_directory import Choice
 from testbed.scenarios.scenario import fault_orders, load_scenario, load_settings, named_request
 from vision_pc.config.choices import PositioningMethod
 from vision_pc.core.se3 import Array
-from vision_pc.shell.installed_programs import installed_programs
 
 LIMIT_MM = 2.0
 LOOP_SHARE = 0.95
@@ -190,8 +188,7 @@ class ProgramsSettings(NamedTuple):
         list[str] | None,
         typer.Option(
             metavar="NAME[,KEY=VALUE]",
-            help="Run this program, of ours or of an installed package, in place of calibration and looks; "
-            "repeatable.",
+            help="Run this program in place of calibration and looks; repeatable.",
         ),
     ] = None
     fault: Annotated[
@@ -237,14 +234,10 @@ def programs_tasks(request: CampaignRequest, settings: ProgramsSettings) -> list
 
 
 def _own(settings: ProgramsSettings) -> Task:
-    """What is run and broken, with the sources of whatever installed packages add to that."""
+    """What is run and broken."""
     words = {"program": settings.program or [], "fault": settings.fault or []}
     fault_orders(words["fault"])
-    names = {named_request(word).name for some in words.values() for word in some}
-    own = [(name, program.run.__module__) for name, program in installed_programs().found.items()]
-    own += [(name, kind.__module__) for name, kind in installed_faults().found.items()]
-    sources = {f"sources of {name}": sources_hash(module) for name, module in own if name in names}
-    return {name: some for name, some in words.items() if some} | sources
+    return {name: some for name, some in words.items() if some}
 
 
 def worst_after(rows: Sequence[ProgramsRow], look: int) -> Array:

@@ -175,7 +175,7 @@ class CouplerSilent(BaseFault):
 
 
 class OwnFault(BaseFault):
-    """Base of a disturbance of another package: what it does, as pure methods, neutral as they stand here.
+    """Base of a disturbance of your own: what it does, as pure methods, neutral as they stand here.
 
     ``elapsed_s`` is the simulated time since it began. Encoders are asked at every reading; valves, pump and
     load when it begins, and again every ``every_s`` of simulated time, if that is not 0.

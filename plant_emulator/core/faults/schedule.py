@@ -1,10 +1,9 @@
 """Which faults are in force from when to when, in simulated time, and the trace that each of them leaves."""
 
 from collections.abc import Sequence
-from functools import cache
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import Field, create_model
+from pydantic import Field
 
 from foundation.configuration import StrictModel
 from plant_emulator.core.faults.kinds import AnyFault, BaseFault, Fault, OwnFault
@@ -70,29 +69,6 @@ class PlantMessage(StrictModel):
     state: FaultState
     arm_points_m: list[list[float]] | None = None
     answer: OrderAnswer | None = None
-
-
-@cache  # one class for all who ask: pydantic takes no other's instances
-def order_with(own: tuple[type[OwnFault], ...]) -> type[FaultOrder]:
-    """An order that may also ask for the disturbances ``own`` of other packages."""
-    if not own:
-        return FaultOrder
-    kinds: Any = Union[(*get_args(Fault), *own)]  # as many as there are
-    every: Any = Annotated[kinds, Field(discriminator="kind")]
-    made: type[FaultOrder] = create_model(
-        "FaultOrder", __base__=FaultOrder, __doc__=FaultOrder.__doc__, fault=(every, ...)
-    )
-    return made
-
-
-@cache
-def message_with(own: tuple[type[OwnFault], ...]) -> type[OrderMessage]:
-    """A message with such an order."""
-    if not own:
-        return OrderMessage
-    order: Any = order_with(own) | MendOrder | RestartOrder
-    made: type[OrderMessage] = create_model("OrderMessage", __base__=OrderMessage, order=(order, ...))
-    return made
 
 
 MOST = 64

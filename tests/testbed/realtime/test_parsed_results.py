@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from controller.core.valve_wear import in_words
 from protocol.errors import LinkLost
 from testbed.demonstration.sequence import note_of
 from testbed.realtime.rest_rig import RESULT_OF, look_of
@@ -98,16 +97,13 @@ def test_a_local_calibration() -> None:
 
 
 def test_what_events_ask_a_person_to_do_is_said_once() -> None:
-    worn = {"name": "worn", "cause": "LIFT", "value": 1.31, "limit": 1.1}
     doubted = MisplacedMarker(2, np.array([-0.01, 0.0005]), np.array([0.001, 0.0012]))
     looked = {"event": "look", "misplaced_marker": {"id": 2, "detail": str(doubted)}}
     events = [
-        {"event": "controller", "what": worn},  # lockstep
-        {"event": "worn", "cause": "TILT", "value": 1.2, "limit": 1.1},  # the controller's own log
         looked,
         looked,
         {"event": "look", "misplaced_marker": None},
         {"event": "controller", "what": {"name": "parked", "cause": "VALVES_SHUT"}},
         {"event": "fault", "what": "text"},
     ]
-    assert warnings_in(events) == [in_words("LIFT", 1.31), in_words("TILT", 1.2), str(doubted)]
+    assert warnings_in(events) == [str(doubted)]

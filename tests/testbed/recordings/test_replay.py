@@ -74,7 +74,7 @@ def test_without_pixels_those_of_the_same_run_are_rendered(recorded: RecordedRun
 
 
 class Shaken(OwnFault):
-    """As an installed package has it, but not installed where the recording is replayed."""
+    """One of your own, unknown where the recording is replayed."""
 
     kind: Literal["shaken"] = "shaken"
 

@@ -143,7 +143,7 @@ _OF_CAUSE = {
     "refused.already_ended": "It is over: nothing is to be cancelled.",
     "refused.bad_setting": "Give a value inside the range that is named.",
     "refused.bad_target": "Give a place inside the picture, and the members that are named.",
-    "refused.disturbance": "Mend the disturbance of the installed package.",
+    "refused.disturbance": "Mend the disturbance of your own.",
     "refused.fault_parameter": "Give the fault's parameters as GET /faults/kinds lists them.",
     "refused.faults_not_allowed": "Start with --allow-faults.",
     "refused.other_machine": "Without a token only this machine may ask: take LONGREACH_NO_TOKEN away, and"

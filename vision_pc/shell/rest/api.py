@@ -178,14 +178,14 @@ class ProgramView(BaseModel):
 
     name: str
     title: str
-    own: bool = Field(description="of an installed package, not of Longreach")
+    own: bool = Field(description="one of your own, not of Longreach")
 
 
 def _add_table(app: FastAPI, table: Sequence[Program[Any, Any]]) -> None:
     ours = {program.name for program in PROGRAMS}
     views = [ProgramView(name=one.name, title=one.title, own=one.name not in ours) for one in table]
 
-    @app.get("/programs", tags=["operations"], summary="Every program, with those of installed packages")
+    @app.get("/programs", tags=["operations"], summary="Every program")
     async def programs() -> list[ProgramView]:
         return views
 

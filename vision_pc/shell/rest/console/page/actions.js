@@ -54,7 +54,7 @@ export function installActions() {
   document.addEventListener('stopped', () => advise(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}. ${STILL_MOVES[shot?.state?.group_state === 'disabled' ? 'shut' : 'held']}`));
 }
 
-/** Adds a row for every program of an installed package, once. */
+/** Adds a row for every program of your own, once. */
 export async function offerPrograms() {
   const answer = await send('GET', '/programs');
   for (const program of answer.ok ? answer.document : []) {
