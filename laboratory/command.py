@@ -4,15 +4,15 @@ import inspect
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from foundation.command_options import options_of, with_signature
 from laboratory.experiments.catalogue import CATALOGUE, Entry
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
-from testbed.cli.root import LaterGroup
+from testbed.cli.root import CommandApp, CommandGroup
 from testbed.reporting.console import out, words, writable, write_json
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
@@ -38,21 +38,29 @@ Plot = Annotated[
 _ALL_ARMS = "both"  # of an experiment that runs two
 
 
-class ExperimentGroup(LaterGroup):
-    """The catalogue's experiments as commands; one is loaded when it is asked for."""
+class ExperimentGroup(CommandGroup):
+    """The catalogue's experiments as commands; one is loaded when it is asked for, most are heavy."""
 
-    later = MappingProxyType({name: f"{one.shows} ({one.cost} a run)" for name, one in CATALOGUE.items()})
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        for name, entry in CATALOGUE.items():
+            self.add_command(TyperCommand(name, help=f"{entry.shows} ({entry.cost} a run)"))
 
-    def load(self, name: str) -> Any:
-        """The command of the experiment called ``name``."""
-        entry = CATALOGUE[name]
-        made = typer.Typer(add_completion=False)
-        example = f"Example: longreach experiment {name} --json {name}.json"
-        made.command(name, help=entry.shows, epilog=example)(command_of(entry))
-        return typer.main.get_command(made)
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that ``args`` begin with, loaded, and the other arguments."""
+        if args[0] in CATALOGUE:
+            self.add_command(_loaded(args[0]))
+        return super().resolve_command(ctx, args)
 
 
-app = typer.Typer(cls=ExperimentGroup, help="Seeded experiments that write tables.", no_args_is_help=True)
+def _loaded(name: str) -> Any:
+    entry, made = CATALOGUE[name], CommandApp(add_completion=False)
+    example = f"Example: longreach experiment {name} --json {name}.json"
+    made.command(name, help=entry.shows, epilog=example)(command_of(entry))
+    return typer.main.get_command(made)
+
+
+app = CommandApp(cls=ExperimentGroup, help="Seeded experiments that write tables.", no_args_is_help=True)
 
 
 @app.callback()

@@ -8,12 +8,13 @@ import typer
 
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import out, promised, table, writable, write_json
 
 if TYPE_CHECKING:
     from testbed.arms import ArmFinding
 
-app = typer.Typer(help="Arms: which there are, whether one is right, one of your own.", no_args_is_help=True)
+app = CommandApp(help="Arms: which there are, whether one is right, one of your own.", no_args_is_help=True)
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
 DEFAULT_ARM = "default"
 Chosen = Annotated[str, typer.Argument(metavar="[NAME|DIR]", help="Of CONFIG_DIR/arms, or a directory.")]

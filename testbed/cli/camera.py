@@ -8,6 +8,7 @@ import typer
 from foundation.command_options import unfolded
 from protocol.errors import RequestRefused
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, PicturedBoard, Seed, Settings
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import writable
 from vision_pc.config.choices import LensModel
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from testbed.camera.pairs import AskedBoard
     from vision_pc.config.vision import VisionConfig
 
-app = typer.Typer(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)
+app = CommandApp(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)
 
 Source = Annotated[
     str,

@@ -9,9 +9,10 @@ from rich.text import Text
 
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import out, write_json
 
-app = typer.Typer(help="Every key that can be set: value, unit, limits, who sets it.", no_args_is_help=True)
+app = CommandApp(help="Every key that can be set: value, unit, limits, who sets it.", no_args_is_help=True)
 
 
 @app.callback()

@@ -8,10 +8,11 @@ import typer
 
 from foundation.command_options import unfolded
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, PicturedBoard, PoseLines, SampleSource
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import writable
 from vision_pc.config.choices import Detector, Method, Setup
 
-session_app = typer.Typer(
+session_app = CommandApp(
     help="Guided hand-eye sampling on a running rig, step by step.", no_args_is_help=True
 )
 
@@ -230,7 +231,7 @@ def export(
     session_text.exported(session, samples)
 
 
-app = typer.Typer(help="Hand-eye calibration, guided on a rig or from files.", no_args_is_help=True)
+app = CommandApp(help="Hand-eye calibration, guided on a rig or from files.", no_args_is_help=True)
 
 
 @app.command(epilog="Example: longreach hand-eye solve samples.json --method robust --json x.json")

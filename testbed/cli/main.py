@@ -2,13 +2,29 @@
 
 import os
 import shutil
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from conformance.command import app as conformance_app
 from foundation.command_options import shipped_configs, show_any_letter, unfolded
 from protocol.errors import ConfigurationError
+from testbed.cli import (
+    arm,
+    camera,
+    config,
+    export,
+    hand_eye,
+    picture,
+    plc,
+    recording,
+    runs,
+    target,
+    token,
+)
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     DEFAULT_RUNS,
@@ -25,10 +41,10 @@ from testbed.cli.options import (
     StartOptions,
     TriedElsewhere,
 )
-from testbed.cli.root import RootGroup, show_version
+from testbed.cli.root import PANEL, CommandApp, RootGroup, show_version
 from testbed.reporting.console import promised, writable
 
-app = typer.Typer(
+app = CommandApp(
     name="longreach",
     cls=RootGroup,
     no_args_is_help=True,
@@ -46,7 +62,7 @@ def longreach(
     """Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command."""
 
 
-@app.command(epilog="Example: longreach doctor --json doctor.json")
+@app.command(rich_help_panel=PANEL["doctor"], epilog="Example: longreach doctor --json doctor.json")
 def doctor(
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
@@ -59,7 +75,7 @@ def doctor(
     raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
 
 
-@app.command(epilog="Example: longreach programs --json programs.json")
+@app.command(rich_help_panel=PANEL["programs"], epilog="Example: longreach programs --json programs.json")
 def programs(json_file: JsonFile = None) -> None:
     """The programs that can be run and the disturbances that can be injected."""
     from testbed.cli.doctor import list_programs
@@ -67,7 +83,7 @@ def programs(json_file: JsonFile = None) -> None:
     list_programs(json_file)
 
 
-@app.command(epilog="Example: longreach init   then: edit configs/vision.yaml")
+@app.command(rich_help_panel=PANEL["init"], epilog="Example: longreach init   then: edit configs/vision.yaml")
 def init(
     directory: Annotated[
         Path, typer.Argument(metavar="[DIR]", help="Made; `configs` is found by itself.")
@@ -80,7 +96,9 @@ def init(
     typer.echo(f"{directory}: copied from {shipped_configs()}; --config-dir {directory}")
 
 
-@app.command(epilog="Example: longreach up --scenario standard --seed 3 --allow-faults")
+@app.command(
+    rich_help_panel=PANEL["up"], epilog="Example: longreach up --scenario standard --seed 3 --allow-faults"
+)
 @unfolded
 def up(
     start: StartOptions,
@@ -98,7 +116,10 @@ def up(
     run_up(config_dir, world, start.free_ports, start.runs, start.foxglove, start.controller)
 
 
-@app.command(epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap --set vision.look.frames=5")
+@app.command(
+    rich_help_panel=PANEL["replay"],
+    epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap --set vision.look.frames=5",
+)
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording of the vision PC: vision.mcap.")],
     truth: Annotated[
@@ -130,7 +151,10 @@ def replay(
     raise typer.Exit(0 if run_replay(request) else 1)
 
 
-@app.command(epilog="Example: longreach commission --joints slew,lift --out runs/commission/monday")
+@app.command(
+    rich_help_panel=PANEL["commission"],
+    epilog="Example: longreach commission --joints slew,lift --out runs/commission/monday",
+)
 @unfolded
 def commission(
     elsewhere: TriedElsewhere,
@@ -169,7 +193,8 @@ def commission(
 
 
 @app.command(
-    epilog="Example: longreach demo --seed 3   or: longreach demo --lockstep --seed 3 --json demo.json"
+    rich_help_panel=PANEL["demo"],
+    epilog="Example: longreach demo --seed 3   or: longreach demo --lockstep --seed 3 --json demo.json",
 )
 @unfolded
 def demo(
@@ -208,7 +233,8 @@ def demo(
 
 
 @app.command(
-    epilog="Example: longreach odometry --left image_0 --right image_1 --calib calib.txt --out path.tum"
+    rich_help_panel=PANEL["odometry"],
+    epilog="Example: longreach odometry --left image_0 --right image_1 --calib calib.txt --out path.tum",
 )
 @unfolded
 def odometry(
@@ -237,7 +263,10 @@ def odometry(
     raise typer.Exit(0 if run_odometry(request, json_file) else 1)
 
 
-@app.command(epilog="Example: longreach markers left.png --right right.png --number 1 --number 2 --out seen")
+@app.command(
+    rich_help_panel=PANEL["markers"],
+    epilog="Example: longreach markers left.png --right right.png --number 1 --number 2 --out seen",
+)
 def markers(
     pictures: Annotated[list[Path], typer.Argument(metavar="PICTURE…", help="Pictures of one eye.")],
     right: Annotated[
@@ -257,6 +286,28 @@ def markers(
 
     found = run_markers(pictures, right or [], dictionary, number or [], directory, json_file)
     raise typer.Exit(0 if found else 1)
+
+
+suites = CommandApp(help=conformance_app.info.help, no_args_is_help=True)
+for one in conformance_app.registered_commands:
+    suites.command(one.name, epilog=one.epilog)(one.callback)
+GROUPS = {
+    "runs": runs.app, "recording": recording.app, "config": config.app, "arm": arm.app, "camera": camera.app,
+    "hand-eye": hand_eye.app, "conformance": suites, "plc": plc.app, "export": export.app,
+    "picture": picture.app, "token": token.app,
+}  # fmt: skip
+for name, group in GROUPS.items():
+    app.add_typer(group, name=name, rich_help_panel=PANEL[name])
+app.command(
+    "target",
+    rich_help_panel=PANEL["target"],
+    epilog="Example: longreach target --marker 582 --size-mm 50 --out marker.pdf",
+)(target.target)
+for point in entry_points(
+    group="longreach.commands"
+):  # of other distributions: the laboratory's `experiment`
+    if find_spec(point.module.partition(".")[0]) is not None:
+        app.add_typer(point.load().app, name=point.name, rich_help_panel=PANEL[point.name])
 
 
 def main() -> None:

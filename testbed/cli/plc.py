@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from testbed.cli.options import JsonFile
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import writable, write_json
 
 _TOLD = "A PLC's variables over ADS: our controller in structured text, TwinCAT."
-app = typer.Typer(no_args_is_help=True, help=_TOLD)
+app = CommandApp(no_args_is_help=True, help=_TOLD)
 
 
 @app.callback()

@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import JsonFile
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import out, promised, table, write_json
 
 if TYPE_CHECKING:
     from foundation.recording.recovery import Contents
 
 _HELP = "What is in a recording, whether it is whole, what can be made of it."
-app = typer.Typer(help=_HELP, no_args_is_help=True)
+app = CommandApp(help=_HELP, no_args_is_help=True)
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, such as truth.mcap.")]
 

@@ -12,12 +12,13 @@ from rich.table import Table
 
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_RUNS, JsonFile
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import listed, out, table, write_json
 
 if TYPE_CHECKING:
     from testbed.reporting.run_record import KeptRun
 
-app = typer.Typer(help="Runs that were kept.", no_args_is_help=True)
+app = CommandApp(help="Runs that were kept.", no_args_is_help=True)
 Runs = Annotated[Path, typer.Option("--out", help="Where directories of runs are.")]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Its name, how that begins, or: last.")]
 _CODE = ("version", "commit", "uncommitted", "libraries")

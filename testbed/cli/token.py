@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from foundation.secret_source import write_new_secret
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import promised
 
-app = typer.Typer(help="Tokens of the REST APIs, and keys of the link.", no_args_is_help=True)
+app = CommandApp(help="Tokens of the REST APIs, and keys of the link.", no_args_is_help=True)
 
 
 @app.callback()

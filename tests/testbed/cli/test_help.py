@@ -1,4 +1,4 @@
-"""Help and completion: in the order of use, the same before and after loading, and without what is heavy."""
+"""Help and completion: in the order of use, and without what is heavy."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from testbed.cli.main import app
-from testbed.cli.root import LATER, PANELS
+from testbed.cli.root import PANELS
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
 
@@ -29,11 +29,6 @@ COMPLETED = "import sys; sys.argv[0] = 'longreach'; from testbed.cli.main import
 
 def test_no_help_imports_what_is_heavy() -> None:
     subprocess.run([sys.executable, "-c", SHOWN], check=True, timeout=100)
-
-
-@pytest.mark.parametrize("name", LATER)
-def test_what_the_list_tells_is_what_the_command_says(name: str) -> None:
-    assert LATER[name].told == LATER[name].load().help.partition("\n")[0]
 
 
 def test_every_command_is_in_the_order_of_use() -> None:

@@ -9,13 +9,14 @@ import typer
 
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Settings
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import out, writable, write_json
 
 if TYPE_CHECKING:
     from testbed.exports.arm_tree import ArmTree
     from testbed.scenarios.scenario import Settings as EverySetting
 
-app = typer.Typer(help="The arm as a file for other tools.", no_args_is_help=True)
+app = CommandApp(help="The arm as a file for other tools.", no_args_is_help=True)
 
 Target = Annotated[Path, typer.Option("--out", help="Where the file goes.", callback=writable)]
 TrueArm = Annotated[

@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from foundation.command_options import usual_configs
+from testbed.cli.root import CommandApp
 from testbed.reporting.console import out, writable
 
-app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
+app = CommandApp(help="Pictures that explain.", no_args_is_help=True)
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 DEFAULT_CONFIG = usual_configs()
 
