@@ -136,7 +136,7 @@ browser:  ## Debian's Chromium, in which the tests try the console (root or sudo
 	|| { echo "browser: chromium could not be installed; the console is NOT tried" >&2; exit 1; }
 
 bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers
-	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(ARGS)
+	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(or $(ARGS),tests/benchmarks)
 
 experiments: $(DEV_STAMP)  ## long, seeded experiments
 	$(BIN)/python -m pytest -m experiment --timeout 0 -s $(ARGS)

@@ -8,19 +8,34 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from controller.core.kinematics.denavit_hartenberg import JOINTS, LINKS
+from controller.config import ControllerConfig
+from controller.core.kinematics.denavit_hartenberg import JOINTS, LINKS, dh_table
 from controller.core.kinematics.rotations import Array
 from controller.core.references.admission import admit
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
 from controller.core.servo.servo_step import tool_state
-from controller.core.settings import ScanSettings
+from controller.core.settings import ScanSettings, settings_from
+from foundation.configuration import load
+from nominal_arm.description import NominalArm
 from protocol.reference_messages import ReferencePath, StreamedPose
 from protocol.session_events import StreamedPoseReceived
 from tests.controller.kinematics.test_kinematics import START, drawn_arm
 from tests.controller.obedient_plant import Bench
+from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.bench
+ARM = load(NominalArm, CONFIGS / "arm.yaml")
+
+
+@pytest.fixture
+def settings() -> ScanSettings:
+    return settings_from(ARM, load(ControllerConfig, CONFIGS / "controller.yaml"))
+
+
+@pytest.fixture
+def table() -> Array:
+    return dh_table(ARM.dh)
 
 
 def _next_input(bench: Bench) -> ScanInput:
