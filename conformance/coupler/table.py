@@ -257,7 +257,7 @@ WRITING: tuple[tuple[int, str, str, list[Step]], ...] = (
             Fresh(100, 0), Ask(pdu, mark=True), Until(STATUS, EXPIRED, 100))]),
     (871, "5.3", "it expires when its time has passed since the last write, neither before nor after", [
         step for time_ms in (100, 200, 1000) for step in (
-            Fresh(time_ms, 0), Ask(WRITE), Ask(WRITE, wait_ms=0.7 * time_ms, mark=True),
+            Fresh(time_ms, 0), Ask(WRITE), Ask(WRITE, wait_ms=0.5 * time_ms, mark=True),
             Until(STATUS, EXPIRED, time_ms))]),
     (677, "5.3", "trigger 1: whatever of the owner is carried out retriggers it, what is refused does not", [
         *fed(((pdu, "ok") for pdu in (*READS, *OWN_READS, *WRITES, "06 1122 0001",
