@@ -17,7 +17,6 @@ from laboratory.campaigns.rows import UNKNOWN, XYZ, xyz
 from laboratory.experiments.positioning.own_commissioning import own_commissioning
 from laboratory.experiments.positioning.scenarios import Drawn, draw
 from laboratory.experiments.positioning.worlds import WORLDS, WorldName, stated_commissioning
-from nominal_arm.commissioned import JointPlay
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.lockstep.clock import RunLog
@@ -167,9 +166,8 @@ def settings_of(
     settings = load_settings(config_dir, asked)
     if not task.get("commissioned"):
         return settings
-    sides, own = task.get("sides", True), task.get("own_file", False)
-    condition = WORLDS[WorldName(task["world"])].eyes if own else None
-    return commissioned(config_dir, asked, settings, task["seed"], sides, condition)
+    condition = WORLDS[WorldName(task["world"])].eyes if task.get("own_file") else None
+    return commissioned(config_dir, asked, settings, task["seed"], condition)
 
 
 def adapting(config_dir: Path) -> JSON:
@@ -182,13 +180,12 @@ def commissioned(
     asked: JSON,
     settings: Settings,
     seed: int,
-    sides: bool = True,
     watched: EyeCondition | None = None,
 ) -> Settings:
     """``settings``, which come from ``asked``, with the valves' plates read and ``stated_commissioning``.
 
-    Without ``sides`` the widths of backlash are not in it. ``watched``: eyes before which the machine
-    commissions itself, and makes a file of its own in place of the stated one.
+    ``watched``: eyes before which the machine commissions itself, and makes a file of its own in place of
+    the stated one.
     """
     compensated = settings.plant.valves.compensator_bar > 0.0
     plates = {"name": settings.plant.valve_set, "pressure_compensated": compensated}
@@ -198,8 +195,6 @@ def commissioned(
         found = stated_commissioning(settings, seed)
     else:
         found = own_commissioning(config_dir, asked, seed, watched)
-    if not sides:
-        found = found.model_copy(update={"play_mrad": JointPlay()})
     return settings._replace(controller=settings.controller.model_copy(update={"commissioned": found}))
 
 

@@ -85,7 +85,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
         own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
     asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
     settings = load_settings(config_dir, asked)
-    settings = commissioned(config_dir, asked, settings, task["seed"], task.get("sides", True))
+    settings = commissioned(config_dir, asked, settings, task["seed"])
     return DrawnMachine(_with_known_share(settings, task["known"]), mass_kg, rng)
 
 
