@@ -1,4 +1,4 @@
-"""`longreach experiment hand-eye --method stress`: bad samples among the good, booms that hardly turn."""
+"""`longreach experiment hua --method stress`: bad samples among the good, booms that hardly turn."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
