@@ -200,8 +200,6 @@ def show_checks(checks: Sequence[Check]) -> None:
 
 def _leave(experiment: Experiment[S, R], request: CampaignRequest, shown: tuple[Any, ...]) -> None:
     """The page, and the first figure where --plot wants it."""
-    from laboratory.campaigns.experiment import write_experiment_page  # here: help need not wait for it
-
     told, checks, tables, drawn = shown
     if request.plot is not None and drawn:
         request.plot.parent.mkdir(parents=True, exist_ok=True)

@@ -42,7 +42,6 @@ class ParkingOptions(NamedTuple):
 
     minutes: Annotated[float, typer.Option("--minutes", min=0.1, help="At rest, after parking.")] = 10.0
     law: Annotated[str, typer.Option("--law", help="parking, or joint: the joint law goes on.")] = "parking"
-    known: Annotated[float, typer.Option("--known", help="Percent of each deadband that is known.")] = 100.0
     machines: MachineKinds = ",".join(VALVE_SETS)
 
 
@@ -75,9 +74,8 @@ ParkedRows = Finished[ParkingOptions, ParkingRow]
 def parking_tasks(request: CampaignRequest, options: ParkingOptions) -> list[Task]:
     """One task a run, the kinds of machine in turn."""
     own = {"minutes": options.minutes, "law": options.law, "parks": options.law == "parking"}
-    own["known"] = options.known / 100.0
     return [
-        {"key": f"{task['seed']}-{options.law}-{options.minutes:g}-{options.known:g}", **task, **own}
+        {"key": f"{task['seed']}-{options.law}-{options.minutes:g}", **task, **own}
         for task in machines(request.runs, request.seed, options.machines)
     ]
 
@@ -188,7 +186,7 @@ def _middle(times: list[float]) -> str:
 def parking_verdict(done: ParkedRows) -> list[Check]:
     """At most a millimetre in the worst run of each kind of machine, none that failed.
 
-    How many came inside 0.3 mrad for good is asked of parking with the deadbands known.
+    How many came inside 0.3 mrad for good is asked of parking.
     """
     checks = [at_most("runs that failed", float(sum(bool(row.failure) for row in done.rows)), 0.0)]
     for arm in ARMS:
@@ -196,7 +194,7 @@ def parking_verdict(done: ParkedRows) -> list[Check]:
             moved = [row.moved_mm for row in _of(done, arm, valves)]
             if moved:
                 came = float(np.mean([math.isfinite(row.inside_s) for row in _of(done, arm, valves)]))
-                limit = 1.0 if done.settings.law == "parking" and done.settings.known == 100.0 else None
+                limit = 1.0 if done.settings.law == "parking" else None
                 checks.append(at_least(f"share inside 0.3 mrad for good, {arm}, {valves}", came, limit))
                 checks.append(at_most(f"moved by most, {arm}, {valves}", max(moved), MOVED_MM, "mm"))
     return checks

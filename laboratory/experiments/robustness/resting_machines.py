@@ -17,8 +17,6 @@ from laboratory.experiments.positioning import axes
 from laboratory.experiments.positioning.axes import Axis
 from laboratory.experiments.positioning.corrected_run import commissioned
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName
-from nominal_arm.commissioned import Commissioned, JointValve, ValveEdge
-from nominal_arm.description import JOINT_NAMES
 from plant_emulator.core.plant import Plant
 from protocol.errors import MeasurementFailed
 from protocol.faults import FaultCode, Reason
@@ -66,10 +64,9 @@ class DrawnMachine(NamedTuple):
 
 
 def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
-    """The machine of a task: ``seed``, ``arm``, ``valves``, ``parks``, and ``known``.
+    """The machine of a task: ``seed``, ``arm``, ``valves``, ``parks``.
 
-    ``known``: what is believed of every deadband over what a commissioning would state of it. Mobile valves
-    are drawn about plant.yaml's and stated as commissioned.
+    Mobile valves are drawn about plant.yaml's and stated as commissioned.
     ``real``: mobile valves, and whatever else the real worlds draw of a machine, camera and wall apart.
     """
     rng = np.random.default_rng([task["seed"], _STREAM])
@@ -86,36 +83,12 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
     settings = load_settings(config_dir, asked)
     settings = commissioned(config_dir, asked, settings, task["seed"])
-    return DrawnMachine(_with_known_share(settings, task["known"]), mass_kg, rng)
+    return DrawnMachine(settings, mass_kg, rng)
 
 
 def _stream(seed: int, axis: Axis) -> np.random.Generator:
     """A stream for each axis: one that is added changes no other."""
     return np.random.default_rng([seed, _STREAM, crc32(axis.name.encode())])
-
-
-def _with_known_share(settings: Settings, share: float) -> Settings:
-    """``settings`` with ``share`` of every deadband that they state."""
-    if share == 1.0:
-        return settings
-    found: Commissioned | None = settings.controller.commissioned
-    valves = settings.controller.valves if found is None else found.valves
-    scaled = {name: _scale_deadband(getattr(valves, name), share) for name in JOINT_NAMES}
-    valves = valves.model_copy(update=scaled)
-    update = {"valves": valves} if found is None else {
-        "commissioned": found.model_copy(update={"valves": valves})
-    }  # fmt: skip
-    return settings._replace(controller=settings.controller.model_copy(update=update))
-
-
-def _scale_deadband(valve: JointValve, share: float) -> JointValve:
-    def edge(known: ValveEdge) -> ValveEdge:
-        deadband = known.deadband
-        spread = max(deadband.std, abs(share - 1.0) * deadband.value)  # what is off is told as such
-        number = deadband.model_copy(update={"value": share * deadband.value, "std": spread})
-        return known.model_copy(update={"deadband": number})
-
-    return valve.model_copy(update={"raising": edge(valve.raising), "lowering": edge(valve.lowering)})
 
 
 def arrived(machine: DrawnMachine, seed: int) -> ClosedLoop:

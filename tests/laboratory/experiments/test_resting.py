@@ -35,7 +35,7 @@ from protocol.reference_messages import FLAG_SETTLED, ReferencePose
 from testbed.lockstep.clock import ClosedLoop
 from tests.support.paths import CONFIGS
 
-TASK = {"seed": 8102, "arm": "plant", "valves": "mobile", "law": "parking", "parks": True, "known": 1.0}
+TASK = {"seed": 8102, "arm": "plant", "valves": "mobile", "law": "parking", "parks": True}
 
 
 class Parked(NamedTuple):
