@@ -7,13 +7,11 @@ all the runs are made in this process, one after the other.
 
 import hashlib
 import json
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from foundation.compiled import imported_names
 from foundation.configuration import layers
 from laboratory.campaigns.rows import Row, RowFile
 from laboratory.campaigns.workforce import AGAIN, Run, Task, results
@@ -21,118 +19,31 @@ from protocol.errors import ConfigurationError, LinkLost
 from testbed.reporting.console import kept_on_ctrl_c, out, plain
 from testbed.reporting.run_record import library_versions
 
-PACKAGES = (
-    "foundation",
-    "protocol",
-    "nominal_arm",
-    "structured_text",
-    "controller",
-    "controller_st",
-    "plant_emulator",
-    "vision_pc",
-    "conformance",
-    "dissector",
-    "testbed",
-    "laboratory",
-    "longreach",
-    "longreach_ros2",
-)
-_SCENARIOS = "scenarios"
+_ROOT = Path(__file__).parents[2]
 _DIGITS = 16
 
 
-class Provenance(NamedTuple):
-    """The code behind a run: hash of the sources, and the versions of Python, Longreach and libraries."""
-
-    function: str
-    sources: str
-    versions: Mapping[str, str]
-
-
-def provenance_of(function: Callable[..., Any]) -> Provenance:
-    """The provenance of a campaign's function, or of a partial of such."""
-    while isinstance(function, partial):
-        function = function.func
-    module = function.__module__
-    return Provenance(f"{module}.{function.__qualname__}", sources_hash(module), library_versions())
-
-
 @cache
-def sources_hash(module: str) -> str:
-    """The hash of the sources of ``module`` and of all of ours that it imports, directly or not."""
-    package = module.partition(".")[0]
-    roots = {name: _root(name) for name in {*PACKAGES, package}}
-    sources = imported_sources(module, {name: root for name, root in roots.items() if root is not None})
-    return _hash((name.encode(), sources[name].read_bytes()) for name in sorted(sources))
+def sources_hash() -> str:
+    """The hash of all sources of ours, tests apart."""
+    files = (file for folder in _ROOT.glob("*/__init__.py") for file in folder.parent.rglob("*.py"))
+    named = ((str(file.relative_to(_ROOT)), file) for file in files)
+    return _hash(named_file for named_file in named if not named_file[0].startswith("tests"))
 
 
-def imported_sources(module: str, roots: Mapping[str, Path]) -> dict[str, Path]:
-    """Module name → file, for ``module`` and what it imports, directly or not, of the packages ``roots``.
-
-    ``roots``: top-level package → its directory (or file). Imports inside of functions count too.
-    """
-    found: dict[str, Path] = {}
-    waiting = [module]
-    while waiting:
-        name = waiting.pop()
-        path = None if name in found else _file_of(name, roots)
-        if path is None:
-            continue
-        found[name] = path
-        waiting += [name.rpartition(".")[0], *imported_names(path, name)]
-    return found
+def content_hash(path: Path) -> str:
+    """The hash of a file, or of all files below a directory and its base, with their names."""
+    folders = [] if path.is_file() else layers(path)
+    files = [(str(f.relative_to(folder)), f) for folder in folders for f in folder.rglob("*") if f.is_file()]
+    return _hash(files or [("", path)])
 
 
-def _file_of(name: str, roots: Mapping[str, Path]) -> Path | None:
-    package, *inner = name.split(".")
-    if package not in roots:
-        return None
-    path = roots[package].joinpath(*inner)
-    candidates = (path / "__init__.py", path.with_suffix(".py"), path)
-    return next((file for file in candidates if file.suffix == ".py" and file.is_file()), None)
-
-
-def _root(package: str) -> Path | None:
-    """Where a package lies from which this process imports; None where there is none."""
-    if package in sys.modules:
-        file = sys.modules[package].__file__
-        path = None if file is None else Path(file)
-    else:
-        beside = Path(__file__).parents[2] / package
-        path = beside / "__init__.py"
-    if path is None or not path.is_file():
-        return None
-    return path.parent if path.name == "__init__.py" else path
-
-
-def content_hash(path: Path, scenario: str | None = None) -> str:
-    """The hash of a file, or of all files below a directory and its base, with their names; "" for none.
-
-    Of the files in ``scenarios/`` only that of ``scenario`` counts, where one is named.
-    """
-    if path.is_file():
-        return _hash([(b"", path.read_bytes())])
-    files = [
-        (str(file.relative_to(directory)).encode(), file.read_bytes())
-        for directory in layers(path)
-        for file in sorted(directory.rglob("*"))
-        if file.is_file() and _readable(file, scenario)
-    ]
-    return _hash(files) if files else ""
-
-
-def _readable(file: Path, scenario: str | None) -> bool:
-    return scenario is None or file.parent.name != _SCENARIOS or file.stem == scenario
-
-
-def _hash(parts: Iterable[tuple[bytes, bytes]]) -> str:
+def _hash(files: Iterable[tuple[str, Path]]) -> str:
     digest = hashlib.sha256()
-    for name, content in parts:
-        digest.update(b"%d %d\0" % (len(name), len(content)) + name + content)
+    for name, file in sorted(files):
+        content = file.read_bytes()
+        digest.update(b"%d %d\0" % (len(name), len(content)) + name.encode() + content)
     return digest.hexdigest()[:_DIGITS]
-
-
-__all__ = ["Campaign", "CampaignRequest", "Run", "Task", "configuration_of", "evidence_of", "run_campaign"]
 
 
 class CampaignRequest(NamedTuple):
@@ -174,22 +85,16 @@ def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task],
     not answer, has no workers, or goes away; the rows done until then are kept.
     """
     directory = request.out
-    evidence = {scenario: evidence_of(function, scenario) for scenario in {_scenario(task) for task in tasks}}
-    configurations = {str(task["key"]): configuration_of(evidence[_scenario(task)], task) for task in tasks}
+    evidence = evidence_of(function)
+    configurations = {str(task["key"]): configuration_of(evidence, task) for task in tasks}
     if len(configurations) != len(tasks):
         raise ConfigurationError("configuration.duplicate_task", f"{title}: two tasks have the same key")
     file = RowFile(directory / "rows.csv")
     kept = [] if request.fresh else [row for row in file.rows if _conclusive(row)]
     done = {(str(row["key"]), str(row["configuration"])): row for row in kept}
     to_do = [task for task in tasks if (str(task["key"]), configurations[str(task["key"])]) not in done]
-    _note(
-        directory,
-        [
-            {"configuration": configurations[str(task["key"])], "title": title, "task": task}
-            | evidence[_scenario(task)]
-            for task in tasks
-        ],
-    )
+    asked = ({"configuration": configurations[str(task["key"])], "task": task} for task in tasks)
+    _note(directory, [each | {"title": title} | evidence for each in asked])
     told = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
     out.print(told, style="dim", highlight=False, soft_wrap=True)
     if to_do:
@@ -211,33 +116,27 @@ def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> st
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def evidence_of(function: Run, scenario: str | None = None) -> dict[str, Any]:
-    """What a run depends on beside its task: sources, versions, and what is bound to ``function``.
+def evidence_of(function: Run) -> dict[str, Any]:
+    """What a run depends on beside its task: sources, versions, the function and what is bound to it.
 
-    A bound path counts by its content; of a directory's scenarios only ``scenario``, where one is named.
+    A bound path counts by its content.
     """
     bound: list[Any] = []
-    whole: Any = function
+    whole: Callable[..., Any] = function
     while isinstance(whole, partial):
-        bound.append([*whole.args, *sorted(whole.keywords.items())])
+        bound += [*whole.args, *sorted(whole.keywords.items())]
         whole = whole.func
-
-    def by_content(value: Any) -> Any:
-        if isinstance(value, Path):
-            return content_hash(value, scenario)
-        return [by_content(item) for item in value] if isinstance(value, (list, tuple)) else plain(value)
-
-    return {**provenance_of(function)._asdict(), "bound": by_content(bound)}
-
-
-def _scenario(task: Task) -> str | None:
-    named = task.get("scenario")
-    return None if named is None else str(named)
+    return {
+        "function": f"{whole.__module__}.{whole.__qualname__}",
+        "sources": sources_hash(),
+        "versions": library_versions(),
+        "bound": [content_hash(value) if isinstance(value, Path) else plain(value) for value in bound],
+    }
 
 
-def _on_same_evidence(function: Run, evidence: Mapping[str | None, Mapping[str, Any]], task: Task) -> Any:
+def _on_same_evidence(function: Run, wanted: Mapping[str, Any], task: Task) -> Any:
     """The run, on a worker whose sources, files and libraries are those of the campaign's client."""
-    wanted, here = evidence[_scenario(task)], evidence_of(function, _scenario(task))
+    here = evidence_of(function)
     if other := [name for name in wanted if wanted[name] != here[name]]:
         raise LinkLost(f"{AGAIN}other_worker", f"the worker's {', '.join(other)} are not those of the client")
     return function(task)

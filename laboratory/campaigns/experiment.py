@@ -12,8 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from foundation.configuration import BASE_FILE
-from laboratory.campaigns.campaign import CampaignRequest, Task, run_campaign
+from laboratory.campaigns.campaign import CampaignRequest, run_campaign
 from laboratory.campaigns.rows import typed
+from laboratory.campaigns.workforce import Task
 from testbed.reporting.console import out, table, write_json
 from testbed.reporting.run_record import KeptRun, beginning
 

@@ -7,8 +7,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished
+from laboratory.campaigns.workforce import Task
 from laboratory.experiments.hand_eye import localisation
 from laboratory.experiments.hand_eye.localisation import LocalisationRow
 from laboratory.experiments.hand_eye.noise_sweep import NoiseOn, SweepRow, level_of

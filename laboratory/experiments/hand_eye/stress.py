@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
-from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished, NoSettings, at_most
+from laboratory.campaigns.workforce import Task
 from laboratory.experiments.hand_eye import scenes
 from laboratory.experiments.hand_eye.hua import demand_all
 from laboratory.experiments.hand_eye.scenes import HandEyeScene

@@ -15,10 +15,11 @@ from matplotlib.figure import Figure
 from rich import table as rich
 
 from foundation.configuration import merged, parse_overrides
-from laboratory.campaigns.campaign import CampaignRequest, Task, run_campaign
+from laboratory.campaigns.campaign import CampaignRequest, run_campaign
 from laboratory.campaigns.experiment import Check, Experiment, Finished, seeds
 from laboratory.campaigns.options import Assignments, Scenario
 from laboratory.campaigns.rows import Row
+from laboratory.campaigns.workforce import Task
 from laboratory.experiments.paper import comparison, figures
 from laboratory.experiments.paper.comparison import FACTOR, TABLES, Compared, Conclusion
 from laboratory.experiments.paper.measurement import measure, trace

@@ -11,10 +11,11 @@ import typer
 from rich.table import Table
 
 from foundation.configuration import merged, parse_overrides
-from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, seeds
 from laboratory.campaigns.options import Assignments, Scenario
 from laboratory.campaigns.rows import UNKNOWN, XYZ, xyz
+from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning.corrected import DrawnSettings, positioning_tasks, stops_table
 from laboratory.experiments.positioning.corrected_run import drawn_by, operate, prepared, true_error_mm
 from laboratory.experiments.positioning.results import quantile, share, worst_mm

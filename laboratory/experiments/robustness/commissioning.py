@@ -9,8 +9,9 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from foundation.configuration import merged
-from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
+from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning import axes, axes_of_sight
 from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName

@@ -8,8 +8,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from laboratory.campaigns.campaign import CampaignRequest, Task
+from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, at_most
+from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning.worlds import ARMS
 from laboratory.experiments.robustness.resting_machines import (
     JSON,
