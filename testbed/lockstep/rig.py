@@ -232,9 +232,6 @@ class LockstepRig:
         return self.world.vision_ns
 
 
-_PATIENCE = 10  # samples that may fail in a session
-
-
 class GuidedRig:
     """World, arm, camera and session. The arm is enabled and at rest in its starting pose."""
 
@@ -272,19 +269,3 @@ def start(rig: GuidedRig, name: str, seed: int) -> StartCheck:
     check = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
     rig.run(rig.guided.sample(quiet))
     return check
-
-
-def recover(rig: GuidedRig) -> None:
-    """What an operator does after a fault: RESET, again while the arm still ramps down, then ENABLE."""
-    while True:
-        try:
-            rig.run(rig.link.command(CommandCode.RESET))
-        except RequestRefused as error:
-            if error.cause != "refused.stopping":
-                raise
-            rig.run(rig.link.next_state())
-        else:
-            break
-    rig.run(rig.link.next_state())
-    rig.run(rig.link.command(CommandCode.ENABLE))
-    rig.run(rig.link.next_state())

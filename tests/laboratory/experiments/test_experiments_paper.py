@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from laboratory.campaigns.campaign import 
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.paper import comparison, figures
 from laboratory.experiments.paper.campaign import (
