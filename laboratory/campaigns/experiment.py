@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from rich.table import Table
-from rich.text import Text
 
 from foundation.configuration import BASE_FILE
 from laboratory.campaigns.campaign import CampaignRequest, run_campaign
 from laboratory.campaigns.rows import typed
 from laboratory.campaigns.workforce import Task
 from testbed.reporting.console import out, table, write_json
-from testbed.reporting.run_record import KeptRun, beginning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,8 +24,7 @@ S = TypeVar("S")  # settings beyond the request's
 R = TypeVar("R")  # a row
 
 _STYLES = {True: "green", False: "bold red", None: "dim"}
-_DPI = 110  # of --plot
-_PIXELS_PER_INCH = 100  # of a figure at its natural width
+_DPI = 110  # of a picture
 _VERDICTS = {True: "met", False: "NOT met", None: ""}
 
 
@@ -110,7 +107,6 @@ class Experiment(Generic[S, R]):
     configured: bool = True
     workers: int = 2
     out: Path | None = None
-    page: bool = True
 
     @property
     def directory(self) -> Path:
@@ -119,7 +115,7 @@ class Experiment(Generic[S, R]):
 
 
 def perform(experiment: Experiment[S, R], request: CampaignRequest, settings: S) -> bool:
-    """Whether every limit was met; tables and verdict are printed, rows and page are in ``request.out``."""
+    """Whether every limit was met; tables and verdict are printed, rows and pictures in ``request.out``."""
     tasks = experiment.tasks(request, settings)
     function = partial(experiment.run, request.config_dir) if experiment.configured else experiment.run
     campaign = run_campaign(request, function, tasks, experiment.name)
@@ -132,7 +128,7 @@ def perform(experiment: Experiment[S, R], request: CampaignRequest, settings: S)
     show_checks(checks)
     drawn, told = experiment.plot(done), _conditions(experiment, done)
     out.print(told, highlight=False, soft_wrap=True)
-    _leave(experiment, request, (told, checks, tables, drawn))
+    _draw(request, drawn)
     passed = all(check.met is not False for check in checks)
     figures = {
         "experiment": experiment.name,
@@ -199,68 +195,18 @@ def show_checks(checks: Sequence[Check]) -> None:
         out.print(made)
 
 
-def _leave(experiment: Experiment[S, R], request: CampaignRequest, shown: tuple[Any, ...]) -> None:
-    """The page, and the first figure where --plot wants it."""
-    told, checks, tables, drawn = shown
+def _draw(request: CampaignRequest, drawn: "Mapping[str, Figure]") -> None:
+    """Every figure into the rows' directory, and the first where --plot wants it."""
+    request.out.mkdir(parents=True, exist_ok=True)
+    files = {request.out / f"{name}.png": figure for name, figure in drawn.items()}
     if request.plot is not None and drawn:
         request.plot.parent.mkdir(parents=True, exist_ok=True)
-        next(iter(drawn.values())).savefig(request.plot, dpi=_DPI)
-        out.print(f"picture: {request.plot}", style="dim", highlight=False, soft_wrap=True)
-    if experiment.page:
-        request.out.mkdir(parents=True, exist_ok=True)
-        heading = (experiment.name, experiment.title)
-        path = write_experiment_page(request.out, heading, told, checks, tables, drawn)
-        out.print(f"report: {path}", style="dim", highlight=False, soft_wrap=True)
+        files[request.plot] = next(iter(drawn.values()))
+    for path, figure in files.items():
+        figure.savefig(path, dpi=_DPI)
+        out.print(f"picture: {path}", style="dim", highlight=False, soft_wrap=True)
 
 
 def seeds(request: CampaignRequest) -> range:
     """The seeds of the runs."""
     return range(request.seed, request.seed + request.runs)
-
-
-def write_experiment_page(
-    directory: Path,
-    heading: tuple[str, str],
-    conditions: str,
-    checks: Sequence[Any],
-    tables: Sequence[Table],
-    figures: "Mapping[str, Figure]",
-) -> Path:
-    """Write ``directory/NAME.html`` and return its path.
-
-    ``heading``: the experiment's name and title; ``checks``: of the verdict, each with what, found, asked
-    and met; ``tables``: as they are printed.
-    """
-    from testbed.reporting.plots import svg  # here: help need not wait for it
-    from testbed.reporting.report import rendered
-
-    name, title = heading
-    html = rendered(
-        "experiment.html.j2",
-        name=name,
-        title=title,
-        conditions=conditions.split("; "),
-        checks=checks,
-        failed=sum(check.met is False for check in checks),
-        tables=[_as_words(made) for made in tables],
-        figures=[
-            (each, svg(figure, each), round(_PIXELS_PER_INCH * figure.get_figwidth()))
-            for each, figure in figures.items()
-        ],
-        run=KeptRun(directory, beginning()),
-    )
-    path = directory / f"{name}.html"
-    path.write_text(html, encoding="utf-8")
-    return path
-
-
-def _as_words(made: Table) -> tuple[str, list[str], list[tuple[str, ...]], list[bool]]:
-    """Title, headings, rows, and of each column whether it holds words."""
-    headings = [_word(column.header) for column in made.columns]
-    columns = [[_word(cell) for cell in column.cells] for column in made.columns]
-    are_words = [column.justify == "left" for column in made.columns]
-    return _word(made.title), headings, list(zip(*columns, strict=True)), are_words
-
-
-def _word(cell: Any) -> str:
-    return Text.from_markup(cell).plain if isinstance(cell, str) else str(cell or "")

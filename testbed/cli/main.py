@@ -18,7 +18,6 @@ from testbed.cli import (
     config,
     export,
     hand_eye,
-    picture,
     plc,
     recording,
     runs,
@@ -294,7 +293,7 @@ for one in conformance_app.registered_commands:
 GROUPS = {
     "runs": runs.app, "recording": recording.app, "config": config.app, "arm": arm.app, "camera": camera.app,
     "hand-eye": hand_eye.app, "conformance": suites, "plc": plc.app, "export": export.app,
-    "picture": picture.app, "token": token.app,
+    "token": token.app,
 }  # fmt: skip
 for name, group in GROUPS.items():
     app.add_typer(group, name=name, rich_help_panel=PANEL[name])

@@ -128,7 +128,7 @@ PANELS = {  # in the order of use
         "odometry",
     ),
     "Put to the test": ("conformance", "plc"),
-    "For other tools": ("export", "picture", "token"),
+    "For other tools": ("export", "token"),
 }  # fmt: skip
 PANEL = {name: panel for panel, names in PANELS.items() for name in names}
 _CAUSES = {  # of what the command line itself refuses

@@ -1,4 +1,4 @@
-"""`longreach picture machine`: the nominal arm from the side at its start pose, with its frames."""
+"""`longreach arm draw`: the nominal arm from the side at its start pose, with its frames."""
 
 from pathlib import Path
 from typing import NamedTuple

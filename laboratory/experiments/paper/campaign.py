@@ -241,7 +241,6 @@ PAPER = Experiment(
     table=paper_tables,
     verdict=paper_verdict,
     plot=paper_plot,
-    page=False,
     figures=lambda done: {
         "compared": _comparisons(done),
         "conclusions": _conclusions(done),

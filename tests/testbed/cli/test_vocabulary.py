@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
 SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
-    "up", "init", "token new", "arm new", "arm draw", "picture machine", "runs open",
+    "up", "init", "token new", "arm new", "arm draw", "runs open",
     "camera convert", "camera emulate", "camera serve", "hand-eye drawing", "hand-eye session run",
     "hand-eye session export", "hand-eye samples",
 }  # fmt: skip
