@@ -1,9 +1,7 @@
 """`longreach runs`: what runs there are, what made them, how two of them differ; and away with the old."""
 
 import json
-import shutil
 import webbrowser
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,54 +65,6 @@ def show(run: Run = "last", runs: Runs = DEFAULT_RUNS, json_file: JsonFile = Non
     write_json(json_file, _facts(found))
 
 
-@app.command(epilog="Example: longreach runs compare 20261122-2101 last")
-def compare(first: Run, second: Run, runs: Runs = DEFAULT_RUNS, json_file: JsonFile = None) -> None:
-    """How two runs differ: in what made them, in configuration, and in the error after each stage."""
-    from testbed.reporting.run_directory import one_run
-
-    one, other = one_run(runs, first), one_run(runs, second)
-    facts = _differences(_comparable(one), _comparable(other))
-    settings = _differences(
-        *({key: pair[1] for key, pair in run.facts.get("changed", {}).items()} for run in (one, other))
-    )
-    names = (one.directory.name, other.directory.name)
-    out.print(_words("what made them", ("what", *names), facts))
-    out.print(_words("configuration; – is as shipped", ("key", *names), settings))
-    stages = _stages(one, other)
-    if stages:
-        out.print(table("true error after each stage, x y z in mm", ("stage", *names), stages))
-    keys = ("key", "first", "second")
-    document = {"facts": facts, "settings": settings, "stages": stages}
-    write_json(
-        json_file,
-        {name: [dict(zip(keys, row, strict=True)) for row in rows] for name, rows in document.items()},
-    )
-
-
-@app.command(epilog="Example: longreach runs clean --keep 20 --yes")
-def clean(
-    keep: Annotated[int, typer.Option(min=0, help="So many of the newest stay.")] = 10,
-    yes: Annotated[bool, typer.Option("--yes", help="Remove them; without, only say which.")] = False,
-    runs: Runs = DEFAULT_RUNS,
-    json_file: JsonFile = None,
-) -> None:
-    """Remove all runs but the newest. One that is still running stays, and so does whatever is no run."""
-    from testbed.reporting.run_directory import all_runs, write_index
-
-    old = [run for run in all_runs(runs)[keep:] if not run.is_running]
-    room_mb = sum(run.size_mb for run in old)
-    if yes:
-        for run in old:
-            shutil.rmtree(run.directory)
-        if old:
-            write_index(runs)
-    done = "removed" if yes else "would be removed; --yes removes them"
-    out.print(f"{len(old)} runs, {room_mb:.0f} MB, {done}", highlight=False)
-    for run in old:
-        out.print(f"  {run.directory}", highlight=False, soft_wrap=True)
-    write_json(json_file, {"removed": yes, "runs": [str(run.directory) for run in old], "mb": room_mb})
-
-
 @app.command("open", epilog="Example: longreach runs open last")
 def open_command(run: Run = "last", runs: Runs = DEFAULT_RUNS) -> None:
     """Open a run's report in the browser, or with `all` the page of all runs, and print where it is."""
@@ -134,36 +84,6 @@ def open_command(run: Run = "last", runs: Runs = DEFAULT_RUNS) -> None:
 
 def _facts(run: "KeptRun") -> dict[str, Any]:
     return {**run.facts, "run": run.directory.name, "ending": run.ending, "mb": run.size_mb}
-
-
-def _comparable(run: "KeptRun") -> dict[str, Any]:
-    kept = {key: value for key, value in run.facts.items() if key not in _SHOWN}
-    return {"command": run.command, "code": run.code, **run.facts.get("machine", {}), **kept}
-
-
-def _differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    keys = [*one, *(key for key in other if key not in one)]
-    return [
-        (key, _short(one.get(key)), _short(other.get(key))) for key in keys if one.get(key) != other.get(key)
-    ]
-
-
-def _stages(one: "KeptRun", other: "KeptRun") -> list[tuple[str, str, str]]:
-    first, second = _errors(one), _errors(other)
-    return [(label, first.get(label, "–"), second.get(label, "–")) for label in {**first, **second}]
-
-
-def _errors(run: "KeptRun") -> dict[str, str]:
-    try:
-        stages = json.loads((run.directory / "figures.json").read_text(encoding="utf-8"))["stages"]
-    except (OSError, ValueError, KeyError):
-        return {}
-    return {each["label"]: _millimetres(each["true"]) for each in stages}
-
-
-def _millimetres(error: Mapping[str, float | None]) -> str:
-    places = (error[f"{axis}_mm"] for axis in "xyz")
-    return " ".join("–" if place is None else f"{place:+.2f}" for place in places)
 
 
 def _short(value: Any) -> str:

@@ -14,7 +14,7 @@ SHORT = {
     "arm check", "arm draw", "arm list", "arm new", "camera check", "camera convert", "config list", "doctor",
     "export mjcf", "export srdf", "export urdf", "hand-eye compare", "hand-eye drawing",
     "hand-eye intrinsics", "hand-eye samples", "hand-eye solve", "init", "markers",
-    "programs", "runs clean", "runs compare", "runs list", "runs open", "runs show", "target", "token new",
+    "programs", "runs list", "runs open", "runs show", "target", "token new",
     *(f"hand-eye session {step}" for step in (
         "back", "export", "go", "list", "locate", "next", "propose", "redo", "remove", "resume", "sample",
         "solve", "start",

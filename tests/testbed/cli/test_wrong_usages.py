@@ -37,7 +37,7 @@ WRONG = (  # command, cause, what the line says beside it
     ("experiment hole-drives --count 1 --out {file}/x", "output.unwritable", "tasks.jsonl"),
     ("runs list --out /nosuch", "runs.no_directory", "--out names another"),
     ("runs show nosuch --out {tmp}", "runs.not_found", "no such run"),
-    ("runs compare last", "usage.missing", "'RUN'"),
+    ("recording recover", "usage.missing", "'FILE'"),
     ("recording info /nosuch.mcap", "system.refused", "/nosuch.mcap: No such file"),
     ("recording verify {file}", "recording.no_recording", "MCAP"),
     ("recording to-csv {file}", "usage.missing", "'--out'"),

@@ -110,39 +110,6 @@ def test_a_run_is_found_by_its_name_a_beginning_or_as_the_last(tmp_path: Path) -
         all_runs(tmp_path / "nowhere")
 
 
-def test_clean_removes_the_oldest_runs_only_when_told_and_nothing_else(tmp_path: Path) -> None:
-    names = [f"2026112{day}-090000" for day in range(5)]
-    for name in names:
-        made(tmp_path, name)
-    running = tmp_path / names[0] / record.RECORD_FILE
-    running.write_text(json.dumps({"command": [], "process": os.getpid()}))
-    (tmp_path / "commission").mkdir()
-    there = sorted(path.name for path in tmp_path.iterdir())
-    status, told = asked("clean", "--keep", "2", "--out", str(tmp_path))
-    assert status == 0
-    assert "2 runs" in told
-    assert "--yes" in told
-    assert sorted(path.name for path in tmp_path.iterdir()) == there
-    assert asked("clean", "--keep", "2", "--yes", "--out", str(tmp_path))[0] == 0
-    left = sorted(path.name for path in tmp_path.iterdir())
-    assert left == [names[0], names[3], names[4], "commission", "index.html"]
-
-
-def test_two_runs_are_compared_by_what_made_them_settings_and_stages(tmp_path: Path) -> None:
-    stage = {"label": "look 1", "true": {"x_mm": 1.0, "y_mm": -2.0, "z_mm": None}}
-    changed: dict[str, dict[str, Any]] = {"one": {"arm.d": (1.0, 2.0)}, "two": {}}
-    for name, seed, key in (("20261121-090000", 1, "one"), ("20261122-090000", 2, "two")):
-        directory = made(tmp_path, name, seed=seed, changed=changed[key], scenario="standard")
-        (directory / "figures.json").write_text(json.dumps({"stages": [stage]}))
-    out = tmp_path / "compared.json"
-    status, told = asked("compare", "20261121", "last", "--out", str(tmp_path), "--json", str(out))
-    assert status == 0, told
-    document = json.loads(out.read_text())
-    assert [row["key"] for row in document["facts"]] == ["seed"]
-    assert document["settings"] == [{"key": "arm.d", "first": "2.0", "second": "–"}]
-    assert document["stages"][0]["first"] == "+1.00 -2.00 –"
-
-
 def test_the_newest_run_is_the_one_that_began_last_whatever_the_clock_called_it(tmp_path: Path) -> None:
     """In the hour that clocks show twice, a later run has an earlier name."""
     made(tmp_path, "20261025-023000", began="2026-10-25T00:30:00Z")
@@ -150,5 +117,3 @@ def test_the_newest_run_is_the_one_that_began_last_whatever_the_clock_called_it(
     (tmp_path / "20250101-000000").mkdir()  # no record: by its name
     assert [run.directory.name[-6:] for run in all_runs(tmp_path)] == ["021000", "023000", "000000"]
     assert one_run(tmp_path, "last").directory.name == "20261025-021000"
-    asked("clean", "--keep", "1", "--yes", "--out", str(tmp_path))
-    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["20261025-021000"]
