@@ -36,9 +36,7 @@ AGAIN = "campaign."
 REACH_S = 3.0  # a scheduler that does not answer by then is not there
 _WORKERS_S = 20.0  # for the first worker of a scheduler to be there
 _MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
-_WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
 _PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
-_RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
 SPAWN_ENVIRONMENT = {
     "OMP_NUM_THREADS": 1,
     "OPENBLAS_NUM_THREADS": 1,
@@ -57,17 +55,6 @@ _QUIET = {
     "distributed.comm.timeouts.connect": "120s",  # on a busy machine a worker takes its time to start
     "distributed.admin.large-graph-warning-threshold": "1GiB",
 }
-
-
-class _Done(NamedTuple):
-    row: Row
-    worker: str
-    memory: int  # bytes that the worker's process holds after the run
-
-
-def _run_on_worker(function: Run, task: Task) -> _Done:
-    row, worker = _run(function, task), distributed.get_worker()
-    return _Done(row, worker.address, worker.monitor.get_process_memory())
 
 
 def _run(function: Run, task: Task) -> Row:
@@ -89,7 +76,6 @@ def _run(function: Run, task: Task) -> Row:
 class _Workforce(NamedTuple):
     client: Any
     places: int  # runs that are handed out at once
-    ours: bool  # whether the workers were started here, and may be replaced
 
 
 def results(
@@ -132,17 +118,15 @@ def _distribute(
 
         def start(count: int) -> None:
             for task in islice(waiting, count):
-                under_way[force.client.submit(_run_on_worker, function, task, pure=False)] = task
+                under_way[force.client.submit(_run, function, task, pure=False)] = task
 
         start(force.places)
         while under_way:
             future = _first_done(force.client, list(under_way))
             task = under_way.pop(future)
-            done = _outcome(future)
-            if force.ours and done.memory > _WORN_BYTES:
-                force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
+            row = _outcome(future)
             start(1)
-            yield task, done.row
+            yield task, row
 
 
 def _first_done(client: Any, futures: Sequence[Any]) -> Any:
@@ -160,17 +144,17 @@ def _first_done(client: Any, futures: Sequence[Any]) -> Any:
                 raise LinkLost("link.workers_lost", why) from None
 
 
-def _outcome(future: Any) -> _Done:
+def _outcome(future: Any) -> Row:
     """What a finished future holds. Raises LinkLost when its scheduler has gone away."""
     if future.status in ("cancelled", "lost"):
         raise LinkLost("link.scheduler_lost", "the scheduler went away; the rows done until then are kept")
     try:
-        done: _Done = future.result(timeout=REACH_S)
+        row: Row = future.result(timeout=REACH_S)
     except KilledWorker as error:
-        return _Done({"failure": f"{AGAIN}worker_lost: {error}"}, "", 0)
+        return {"failure": f"{AGAIN}worker_lost: {error}"}
     except (OSError, CommClosedError) as error:
         raise LinkLost("link.scheduler_lost", f"the scheduler went away: {error}") from error
-    return done
+    return row
 
 
 @contextmanager
@@ -181,10 +165,10 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
         if scheduler is None:
             cluster = stack.enter_context(_local_cluster(workers))
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-            yield _Workforce(client, workers, True)
+            yield _Workforce(client, workers)
         else:
             client = stack.enter_context(_client_of(scheduler))
-            yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
+            yield _Workforce(client, 2 * sum(client.nthreads().values()))
 
 
 @contextmanager

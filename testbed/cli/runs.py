@@ -67,17 +67,14 @@ def show(run: Run = "last", runs: Runs = DEFAULT_RUNS, json_file: JsonFile = Non
 
 @app.command("open", epilog="Example: longreach runs open last")
 def open_command(run: Run = "last", runs: Runs = DEFAULT_RUNS) -> None:
-    """Open a run's report in the browser, or with `all` the page of all runs, and print where it is."""
-    from testbed.reporting.run_directory import one_run, write_index
+    """Open a run's report in the browser, and print where it is."""
+    from testbed.reporting.run_directory import one_run
 
-    if run == "all":
-        report = write_index(runs)
-    else:
-        found = one_run(runs, run)
-        report = found.directory / "report.html"
-        if not report.is_file():
-            why = f"{found.directory}: no report.html; it {found.ending}"
-            raise ConfigurationError("runs.no_report", why)
+    found = one_run(runs, run)
+    report = found.directory / "report.html"
+    if not report.is_file():
+        why = f"{found.directory}: no report.html; it {found.ending}"
+        raise ConfigurationError("runs.no_report", why)
     out.print(str(report), highlight=False, soft_wrap=True)
     webbrowser.open(report.resolve().as_uri())
 

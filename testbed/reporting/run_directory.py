@@ -1,7 +1,6 @@
 """Where runs are kept: a new directory for each, with its record, and an index page of all of them."""
 
 import json
-import os
 import re
 import shutil
 import time
@@ -21,7 +20,7 @@ from testbed.reporting import run_record as record
 from testbed.reporting.console import kept_on_ctrl_c, out, write_json
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import Traces
-from testbed.reporting.report import Picture, rendered, write_report
+from testbed.reporting.report import Picture, write_report
 from testbed.reporting.run_record import RECORD_FILE, KeptRun, note
 from testbed.scenarios.scenario import NamedRequest
 from vision_pc.config.choices import PositioningMethod
@@ -103,7 +102,6 @@ def read_events(directory: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
 
 
-INDEX = "index.html"
 _STAMP = re.compile(r"\d{8}-\d{6}(-\d+)?")
 
 
@@ -130,8 +128,6 @@ def run_directory(runs: Path) -> Iterator[Path]:
     finally:
         if _has_results(directory):
             record.note(directory, took_s=time.monotonic() - began_s, ended_by=ended_by)
-            with suppress(OSError):  # the run itself is kept
-                write_index(runs)
         else:
             shutil.rmtree(directory)
             with suppress(OSError):  # others are there
@@ -187,25 +183,3 @@ def one_run(runs: Path, name: str) -> KeptRun:
         kind = "several runs begin so" if fitting else "no such run"
         raise ConfigurationError("runs.not_found", f"{name}: {kind} in {runs}: {which}")
     return fitting[0]
-
-
-def write_index(runs: Path) -> Path:
-    """The page of all runs below ``runs``, with links to their reports, written there.
-
-    Raises ConfigurationError where there is no such directory, OSError where it cannot be written.
-    """
-    rows = [
-        {
-            "name": run.directory.name,
-            "report": (run.directory / "report.html").is_file(),
-            "ending": run.ending,
-            "command": run.command,
-            "code": run.code,
-            "took": f"{run.facts['took_s']:.0f}" if "took_s" in run.facts else "–",
-            "mb": f"{run.size_mb:.1f}",
-        }
-        for run in all_runs(runs)
-    ]
-    partial = runs / f"{INDEX}.{os.getpid()}"
-    partial.write_text(rendered("index.html.j2", runs=rows), encoding="utf-8")
-    return partial.replace(runs / INDEX)

@@ -1,13 +1,11 @@
 """The site's Sphinx extension: navigation from docs/README.md, examples and references from code."""
 
-import ast
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from posixpath import dirname, join, normpath
-from types import MappingProxyType
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
@@ -84,31 +82,6 @@ def main(site: Path) -> int:
 
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = ROOT / "examples" / "python"
-PICTURES = ROOT / "docs" / "images" / "examples"
-
-
-def gallery() -> str:
-    """The examples one below the other."""
-    return "\n\n".join(_example(path) for path in sorted(EXAMPLES.glob("*.py")))
-
-
-def _example(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    told = ast.get_docstring(ast.parse(text)) or ""
-    title, _, rest = told.partition("\n")
-    picture = PICTURES / f"{path.stem}.png"
-    shown = f"![{title}](/docs/images/examples/{picture.name})\n\n" if picture.exists() else ""
-    return f"## {path.name}\n\n{title}\n{rest}\n\n{shown}```python\n{text}```"
-
-
-MADE: Mapping[str, Callable[[], str]] = MappingProxyType(
-    {
-        "gallery": gallery,
-    }
-)
-"""What takes the place of ``<!-- site: NAME -->`` in a page."""
-_MADE_HERE = re.compile(r"^<!-- site: (\w+) -->$", re.MULTILINE)
 _SECTION = re.compile(r"^## (.+)$", re.MULTILINE)
 _PAGE_LINK = re.compile(r"\]\(([\w./-]+)\.md(?:#[^)]*)?\)")
 BY_READER = "docs/README"
@@ -123,7 +96,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
 
 
 def _insert_generated(app: Sphinx, docname: str, source: list[str]) -> None:
-    text = _MADE_HERE.sub(lambda found: MADE[found[1]](), source[0])
+    text = source[0]
     if docname == app.config.root_doc:
         text += f"\n\n{_toctree('', [BY_READER])}" + by_reader(Path(app.srcdir))
     elif docname in INDEXES[1:]:
