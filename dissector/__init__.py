@@ -1,1 +1,5 @@
-"""For people who look at the wire: a Wireshark dissector made from the layout tables, and a sniffer."""
+"""A dissector of the reference link for Wireshark and tshark: ``longreach.lua``, written by hand."""
+
+from pathlib import Path
+
+SCRIPT = Path(__file__).with_name("longreach.lua")

@@ -1,5 +1,5 @@
--- Wireshark dissector of the Longreach reference link (docs/protocol.md). Made by dissector.generate
--- from the tables of the codec: do not edit. Use: wireshark -X lua_script:longreach.lua
+-- Wireshark dissector of the Longreach reference link (docs/protocol.md).
+-- Use: wireshark -X lua_script:longreach.lua
 -- Display filters: lrlk.kind, lrlk.session, lrlk.sequence, lrlk.command.code, lrlk.bad_crc, ...
 local lrlk = Proto("lrlk", "Longreach reference link")
 local f = {}

@@ -13,7 +13,6 @@ from foundation.command_options import options_of, with_signature
 from laboratory.experiments.catalogue import CATALOGUE, Entry
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.cli.root import CommandApp, CommandGroup
-from testbed.reporting.console import out, words, writable, write_json
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
 Seed = Annotated[
@@ -30,9 +29,6 @@ Workers = Annotated[
 Scheduler = Annotated[
     str | None,
     typer.Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
-]
-Plot = Annotated[
-    Path | None, typer.Option("--plot", help="Write the picture to this file.", callback=writable)
 ]
 
 _ALL_ARMS = "both"  # of an experiment that runs two
@@ -68,15 +64,6 @@ def experiment() -> None:
     """Seeded experiments that write tables."""
 
 
-@app.command("list", epilog="Example: longreach experiment list --json experiments.json")
-def list_experiments(json_file: JsonFile = None) -> None:
-    """All experiments: what each shows, and what a run costs."""
-    entries = [(name, entry.shows, entry.cost) for name, entry in CATALOGUE.items()]
-    out.print(words("experiments", ("longreach experiment", "shows", "a run costs"), entries))
-    keys = ("experiment", "shows", "run_costs")
-    write_json(json_file, {"experiments": [dict(zip(keys, entry, strict=True)) for entry in entries]})
-
-
 def command_of(entry: Entry) -> Callable[..., None]:
     """The function behind a command: its options are the request's and those of all the methods' settings."""
     methods = [entry.load(method) for method in entry.places]
@@ -104,7 +91,6 @@ def command_of(entry: Entry) -> Callable[..., None]:
             workers=chosen_experiment.workers if workers is None else workers,
             fresh=options.pop("fresh"),
             json=options.pop("json_file"),
-            plot=options.pop("plot"),
         )
         settings = chosen_experiment.settings(
             **_own_options(options, own, chosen_experiment.settings._fields, method)
@@ -147,7 +133,6 @@ def _common(methods: list[Any]) -> list[inspect.Parameter]:
         _parameter("scheduler", Scheduler, None),
         _parameter("workers", Workers, chosen.workers if alone else None),
         _parameter("config_dir", ConfigDir, DEFAULT_CONFIG),
-        _parameter("plot", Plot, None),
         _parameter("json_file", JsonFile, None),
     ]
 

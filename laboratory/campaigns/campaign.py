@@ -50,7 +50,7 @@ class CampaignRequest(NamedTuple):
     """What a campaign is asked for: ``runs`` from ``seed`` on, rows and pictures in ``out``.
 
     ``scheduler``: a Dask cluster that is there; else ``workers`` processes are started, or none. ``fresh``:
-    no row is reused. ``json``, ``plot``: files to write figures and the first picture to.
+    no row is reused. ``json``: a file to write figures to.
     """
 
     config_dir: Path
@@ -61,7 +61,6 @@ class CampaignRequest(NamedTuple):
     workers: int = 2
     fresh: bool = False
     json: Path | None = None
-    plot: Path | None = None
 
 
 class Campaign(NamedTuple):

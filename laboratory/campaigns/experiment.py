@@ -196,13 +196,9 @@ def show_checks(checks: Sequence[Check]) -> None:
 
 
 def _draw(request: CampaignRequest, drawn: "Mapping[str, Figure]") -> None:
-    """Every figure into the rows' directory, and the first where --plot wants it."""
-    request.out.mkdir(parents=True, exist_ok=True)
-    files = {request.out / f"{name}.png": figure for name, figure in drawn.items()}
-    if request.plot is not None and drawn:
-        request.plot.parent.mkdir(parents=True, exist_ok=True)
-        files[request.plot] = next(iter(drawn.values()))
-    for path, figure in files.items():
+    """Every figure into the rows' directory."""
+    for name, figure in drawn.items():
+        path = request.out / f"{name}.png"
         figure.savefig(path, dpi=_DPI)
         out.print(f"picture: {path}", style="dim", highlight=False, soft_wrap=True)
 

@@ -5,7 +5,7 @@ import pytest
 
 from controller.core.kinematics.denavit_hartenberg import damped_inverse
 from controller.core.kinematics.inverse_kinematics import joint_angles
-from controller.core.kinematics.rotations import matrix_from_quaternion
+from controller.core.kinematics.rotations import rows
 from controller.core.servo.servo_step import tool_state
 from controller.core.settings import settings_from
 from controller_st.program import texts
@@ -52,7 +52,7 @@ def test_tool_jacobian_inverse_and_joint_angles_are_the_same(program: CompiledPr
         assert solved.result == pytest.approx(least, abs=EXACT)
         off = np.abs(solved.outputs["aInverse"].numbers - inverse).max()
         assert off < 1e-11 * np.abs(inverse).max()
-        R_BT = matrix_from_quaternion(python.quaternion)
+        R_BT = np.array(rows(python.quaternion))
         _, expected, _, _ = joint_angles(settings.table, R_BT, python.p_BT, branch.numbers.copy())
         found = program.call("F_LR_JointAngles", p=text.p, q=text.q, aBranch=branch)
         assert found.result

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from conformance.wire import with_bit_flipped, with_number
-from dissector.generate import SCRIPT
+from dissector import SCRIPT
 from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from tests.dissector.captures import write_pcap

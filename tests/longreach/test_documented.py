@@ -90,16 +90,6 @@ def third_arm_moves(found: list[float]) -> bool:
     return found[0] == 50.0 and abs(found[1] - 50.0) < 3.0 and abs(found[2] - 50.0) < 3.0
 
 
-def robust_is_better(found: list[float]) -> bool:
-    classical, robust = found[:2], found[2:]
-    return max(robust) < 5.0 < classical[0] and robust[0] < 0.2 * classical[0]
-
-
-def more_gain_less_lag(found: list[float]) -> bool:
-    gains, lags = found[::3], found[2::3]
-    return gains == [1.0, 2.0, 3.5] and lags[0] > 1.2 * lags[2]
-
-
 def replays(found: list[float]) -> bool:
     return found[-2] > 20 and abs(found[-1] - 30.0) < 3.0
 
@@ -113,8 +103,6 @@ EXAMPLE_CHECKS = {
     "own_calibration": arrived,
     "own_disturbance": bends_unseen,
     "own_arm": third_arm_moves,
-    "compare_solvers": robust_is_better,
-    "tune_a_gain": more_gain_less_lag,
     "replay_a_recording": replays,
     "own_controller": believes_to_be_there,
 }

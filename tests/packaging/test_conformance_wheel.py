@@ -63,7 +63,7 @@ def run(python: Path, *arguments: str) -> str:
 def test_it_lists_its_cases_and_brings_the_dissector(python: Path) -> None:
     assert "COMMAND with any single bit flipped" in run(python, "reference", "--list").replace("\n", " ")
     assert "--unit" in run(python, "coupler", "--help")
-    probe = "from dissector.generate import SCRIPT; print(SCRIPT.is_file())"
+    probe = "from dissector import SCRIPT; print(SCRIPT.is_file())"
     assert subprocess.check_output([python, "-I", "-c", probe], text=True).strip() == "True"
 
 

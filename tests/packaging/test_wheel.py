@@ -87,7 +87,7 @@ def test_the_laboratory_is_not_in_it_and_its_commands_say_how_to_get_it(installe
     assert "demo" in helped
     run(installed, "-c", _WITHOUT_LABORATORY.format(["programs"]))
     with pytest.raises(AssertionError, match=r"extension\.not_installed.*pip install \./laboratory"):
-        run(installed, "-c", _WITHOUT_LABORATORY.format(["experiment", "list"]))
+        run(installed, "-c", _WITHOUT_LABORATORY.format(["experiment", "--help"]))
 
 
 @pytest.mark.experiment

@@ -198,11 +198,6 @@ class Look(NamedTuple):
         """Standard deviations (3,) of the object's orientation."""
         return _deviations(self.cov_CO)[3:]
 
-    @property
-    def std_tool_frame_m(self) -> Array:
-        """Standard deviations (3,) of the tool's place in a single frame, noise alone."""
-        return _deviations(self.frame_cov_CM)[:3]
-
 
 def _deviations(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.diag(covariance)))

@@ -138,12 +138,6 @@ def conjugate(q: Array) -> Array:
 
 
 @kernel
-def matrix_from_quaternion(q: Array) -> Array:
-    """The rotation matrix, (3, 3), of a unit quaternion (4,)."""
-    return np.array(rows(q))
-
-
-@kernel
 def quaternion_from_matrix(R: Array) -> Array:
     """The unit quaternion (4,), w ≥ 0, of a rotation matrix (3, 3); after Shepperd."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -172,12 +166,6 @@ def orientation_error(desired: Array, actual: Array) -> Array:
     sign = 1.0 if product >= 0.0 else -1.0  # q and −q are one rotation; a positive product is the short way
     error: Array = actual[0] * desired[1:4] - desired[0] * actual[1:4] - cross(desired[1:4], actual[1:4])
     return sign * error
-
-
-@kernel
-def quaternion_from_vector(theta: Array) -> Array:
-    """exp: the unit quaternion (4,) of a rotation vector (3,)."""
-    return np.array(exponential(theta))
 
 
 @kernel

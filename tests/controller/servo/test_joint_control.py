@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from controller.core.kinematics.rotations import Array, quaternion_from_vector, quaternion_product
+from controller.core.kinematics.rotations import Array, exponential, quaternion_product
 from controller.core.servo.joint_control import (
     JointFilters,
     JointGains,
@@ -150,7 +150,7 @@ Q = np.radians([10.0, 50.0, -75.0, 15.0, -25.0, 5.0])
 
 def test_the_pose_servo_steers_back_along_the_error(table: Array) -> None:
     tool = tool_state(table, Q)
-    turn = quaternion_from_vector(np.array([0.0, 0.0, 0.01]))
+    turn = np.array(exponential(np.array([0.0, 0.0, 0.01])))
     shift = np.array([0.0, 0.02, 0.0])
     desired = at_rest(tool.p_BT + shift, quaternion_product(turn, tool.quaternion))
     resolved = resolve(tool, desired, GAINS._replace(dead_zone=0.0))

@@ -15,7 +15,7 @@ from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.boom_levers import boom_levers, slew_angles, slew_lever
-from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
+from vision_pc.core.calibration.local_calibration import AT_REST, settled_pose
 from vision_pc.core.calibration.object_motion import refuse_moving_object
 from vision_pc.core.calibration.take_up import backlash_sides, move_with_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
@@ -69,8 +69,7 @@ class LocalErrorModel(NamedTuple):
     """The fitted model R d = x + Φ(x) θ about the present pose ``X_BT``, for an arm of ``dimensions``.
 
     ``R`` (3, 3) rotates the axes of K into B; ``theta`` (n,), ``covariance`` (n, n). ``residual_m``: rms of
-    the fit; ``condition``: of the rotational information of the track. Holds for steps that end as the track
-    did, after a positive turn of the slew (backlash taken up).
+    the fit. Holds for steps that end as the track did, after a positive turn of the slew (backlash taken up).
     """
 
     R: Array
@@ -78,13 +77,7 @@ class LocalErrorModel(NamedTuple):
     theta: Array
     covariance: Array
     residual_m: float
-    condition: float
     dimensions: BoomDimensions
-
-    @property
-    def scale(self) -> float:
-        """By how much odometry's lengths differ from the arm's, relative."""
-        return float(self.theta[_SCALE])
 
     @property
     def slew_play(self) -> float:
@@ -215,9 +208,7 @@ def fit_error_model(
             "measurement.match_poor",
             f"local map: misfit {residual:.4f} m, limit {_RESIDUAL_M:g} m",
         )
-    information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
-    condition = float(information[-1] / information[0])
-    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions)
+    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, dimensions)
 
 
 def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:

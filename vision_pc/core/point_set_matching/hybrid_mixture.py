@@ -32,18 +32,15 @@ class PoseSet(NamedTuple):
 class MixtureMatch(NamedTuple):
     """The match x ≈ R y + t, n ≈ R v, and the mixture it was found with.
 
-    ``sigma_m``: position scatter per axis. ``kappa``: concentration of directions (1/rad², 0 without any).
-    ``outlier_share``: w. ``inlier`` (N,): probability that each data point is not an outlier.
+    ``sigma_m``: position scatter per axis. ``outlier_share``: w. ``inlier`` (N,): probability that each
+    data point is not an outlier.
     """
 
     R: Array
     t: Array
     sigma_m: float
-    kappa: float
     outlier_share: float
     inlier: Array
-    log_likelihood: float
-    iterations: int
     converged: bool
 
 
@@ -82,7 +79,7 @@ def match_trajectories(data: PoseSet, model: PoseSet, R_start: Array, *, associa
         previous = likelihood
         R, t, variance, kappa, share = _maximise(data, model, p, variance, kappa, associated)
     inlier = p if associated else p.sum(axis=1)
-    return MixtureMatch(R, t, math.sqrt(variance), kappa, share, inlier, likelihood, iterations, converged)
+    return MixtureMatch(R, t, math.sqrt(variance), share, inlier, converged)
 
 
 def _check(data: PoseSet, model: PoseSet, associated: bool) -> None:
