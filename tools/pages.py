@@ -7,7 +7,6 @@ from typing import Any
 from pymodbus.pdu.bit_message import ReadCoilsRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
 
-from conformance.runner import coupler_cases
 from foundation.modbus import MAX_PDU_BYTES
 from laboratory.experiments.positioning.worlds import WORLDS
 from plant_emulator.core.coupler import modbus_requests as requests
@@ -18,7 +17,7 @@ from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
 from tools.protocol_page import filled
 from tools.site import reference
-from tools.tables import cases_by_clause, table
+from tools.tables import table
 from vision_pc.application.programs import PROGRAMS
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -108,7 +107,6 @@ def coupler_sections() -> dict[str, str]:
         "blocks": table("address | words | block | read with | write with", blocks),
         "registers": table("address | words | register | read with | write with | unit | meaning", own),
         "status": table("bit | mask | meaning", ((bit, f"{mask:#06x}", text) for bit, mask, text in STATUS)),
-        "cases": cases_by_clause(coupler_cases()),
     }
 
 

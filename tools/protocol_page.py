@@ -8,7 +8,6 @@ from enum import IntEnum
 from pathlib import Path
 from typing import TypeVar
 
-from conformance.runner import reference_cases
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
 from protocol.axes_group import ANSWERS, Asked, Mode
@@ -45,7 +44,6 @@ from tools.tables import (
     KEY_SERVER_ROWS,
     SERVER_ROWS,
     Row,
-    cases_by_clause,
     limits,
     motion_limits,
     stream_limits,
@@ -279,7 +277,6 @@ SECTIONS: dict[str, Callable[[], str]] = {
             "RESET_WATCHDOG": "a rising edge clears WATCHDOG_TRIPPED",
         },
     ),
-    "cases": lambda: cases_by_clause(reference_cases()),
     "golden": golden,
     "stream limits": stream_limits,
 }  # fmt: skip

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from conformance.case import ConformanceCase
 from controller.config import ControllerConfig
 from controller.core.inbox import WAITING
 from foundation.configuration import load
@@ -30,34 +29,6 @@ def table(head: str, rows: Iterable[Iterable[object]]) -> str:
     columns = [cell.strip() for cell in head.split("|")]
     head, *body = ("| " + " | ".join(map(str, line)) + " |" for line in (columns, *rows))
     return "\n".join([head, "|---" * len(columns) + "|", *body])
-
-
-def cases_by_clause(cases: Iterable[ConformanceCase]) -> str:
-    """The numbers of the cases that cite each clause; ``*``: it moves the arm, or writes outputs."""
-    by_clause: dict[str, list[ConformanceCase]] = {}
-    for case in cases:
-        by_clause.setdefault(case.clause, []).append(case)
-    order = sorted(by_clause, key=lambda clause: [int(part) for part in clause.split(".")])
-    return "\n".join(["```text", *(f"{clause:>5}  {_runs(by_clause[clause])}" for clause in order), "```"])
-
-
-def _runs(cases: list[ConformanceCase]) -> str:
-    """Numbers of cases, three and more in a row as ``810–869*``."""
-    runs: list[list[ConformanceCase]] = []
-    for case in cases:
-        last = runs[-1][-1] if runs else None
-        if last and (last.number + 1, last.motion) == (case.number, case.motion):
-            runs[-1].append(case)
-        else:
-            runs.append([case])
-    parts = []
-    for run in runs:
-        star = "*" if run[0].motion else ""
-        if len(run) > 2:
-            parts.append(f"{run[0].number}–{run[-1].number}{star}")
-        else:
-            parts += [f"{case.number}{star}" for case in run]
-    return " ".join(parts)
 
 
 CONFIGS = Path(__file__).parents[1] / "configs"

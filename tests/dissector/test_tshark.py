@@ -90,7 +90,7 @@ def test_tshark_tells_of_bad_crc_and_of_what_is_malformed(tmp_path: Path) -> Non
 def test_the_lines_of_the_page_show_a_capture(tmp_path: Path) -> None:
     path = tmp_path / "all.pcap"
     write_pcap(path, DATAGRAMS)
-    whole, fields = [line for line in commands_of("protocol.md", "Annex E") if line.startswith("tshark ")]
+    whole, fields = [line for line in commands_of("protocol.md", "Annex D") if line.startswith("tshark ")]
 
     def said(line: str) -> str:
         arguments = shlex.split(line.replace("docs/protocol/sample.pcap", str(path)))

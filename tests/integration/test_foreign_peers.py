@@ -72,7 +72,7 @@ def test_libmodbus_reads_inputs_by_both_function_codes_and_outputs(coupler: Thre
 
 @needs_mbpoll
 def test_the_lines_of_the_page_read_the_inputs(coupler: ThreadedCoupler) -> None:
-    whole, counts = [line for line in commands_of("protocol.md", "Annex E") if line.startswith("mbpoll ")]
+    whole, counts = [line for line in commands_of("protocol.md", "Annex D") if line.startswith("mbpoll ")]
 
     def said(line: str) -> list[int]:
         arguments = shlex.split(line.replace("-p 1502", f"-p {coupler.port}"))
