@@ -2,18 +2,16 @@
 
 Every operation must fail with a cause that a program can read; the arm must then be at rest, and stay so, in
 the plant's truth and in the controller's own state; and where a measurement failed, no number may be left
-behind. All but the last run in lockstep, on the pictures of the plant's camera, with the plant's own faults.
+behind. They run in lockstep, on the pictures of the plant's camera, with the plant's own faults.
 """
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from laboratory.campaigns.campaign import CampaignRequest, run_campaign
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
-from protocol.errors import LinkLost, LongreachError, RequestRefused
+from protocol.errors import LongreachError, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
@@ -226,22 +224,3 @@ def test_12_a_path_that_leaves_the_workspace(kind: str, body: dict[str, Any], ca
 def test_13_a_path_that_fixes_no_rotation(segments_m: list[float], association: str, cause: str) -> None:
     body = {"segments_m": segments_m, "association": association}
     fails(station(), "trajectory-matching", cause, moved=False, **body)
-
-
-def never(task: dict[str, Any]) -> dict[str, Any]:
-    raise AssertionError("no run may begin")
-
-
-@pytest.mark.parametrize(
-    ("scheduler", "cause"),
-    [("tcp://127.0.0.1:9", "link.scheduler_unreachable"), ("nonsense://x", "configuration.bad_address")],
-)
-def test_14_a_scheduler_that_is_not_there(tmp_path: Path, scheduler: str, cause: str) -> None:
-    with pytest.raises(LongreachError) as caught:
-        run_campaign(
-            CampaignRequest(Path("configs"), tmp_path, scheduler=scheduler), never, [{"key": "a"}], "none"
-        )
-    assert caught.value.cause == cause
-    assert isinstance(caught.value, LinkLost) == cause.startswith("link.")
-    assert scheduler in str(caught.value)
-    assert not (tmp_path / "rows.csv").exists(), "a run that was never made has no row"

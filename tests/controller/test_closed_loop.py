@@ -14,11 +14,9 @@ from controller.core.servo.servo_step import resolve, tool_state
 from controller.core.settings import ScanSettings
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.core.faults.kinds import EncoderJump, EncoderStuck, Fault, SupplyLost, ValveStuck
 from plant_emulator.core.plant import Plant
-from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
-from protocol.process_image import CONTROL_ENABLE
 from protocol.reference_messages import ReferencePath, ReferencePose
 from testbed.lockstep.clock import ClosedLoop
 from tests.controller.conftest import CONFIGS
@@ -163,31 +161,3 @@ def test_emergency_stop_in_motion_closes_every_valve_within_a_cycle(settings: Sc
     resting = loop.plant.truth().q
     loop.run(1.0)
     assert np.abs(loop.plant.truth().q - resting).max() < 3e-3  # the oil's spring still rings
-
-
-@pytest.mark.parametrize(
-    ("fault", "expected"),
-    [
-        (EncoderStuck(joint="lift"), {FaultCode.PLANT_STATUS}),
-        (SupplyLost(), {FaultCode.SUPPLY_PRESSURE_LOST, FaultCode.FOLLOWING_ERROR}),
-        (EncoderJump(joint="tilt", angle_mrad=30.0), {FaultCode.ENCODER_JUMP}),
-        (ValveStuck(joint="lift"), {FaultCode.FOLLOWING_ERROR}),
-    ],
-)
-def test_faults_of_the_plant_end_the_motion_with_their_cause(
-    settings: ScanSettings, fault: Fault, expected: set[FaultCode]
-) -> None:
-    loop = _loop(settings, 20.0)
-    here = loop.view.X_BT
-    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.5), here.q_wxyz)
-    assert loop.refer(lambda i: ReferencePose(i, goal, 0.0)) is Reason.ACCEPTED
-    loop.run(1.0)
-    loop.plant.inject(fault)
-    for _ in range(round(4.0 / settings.cycle_s)):
-        if loop.step().view.fault is not FaultCode.NONE:
-            break
-    assert loop.view.fault in expected
-    assert loop.view.severity is Severity.EMERGENCY
-    assert loop.outputs is not None
-    assert not loop.outputs.valves.control & CONTROL_ENABLE
-    assert loop.outputs.valves.valves == (0.0,) * 6

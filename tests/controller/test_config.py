@@ -1,6 +1,5 @@
 """Configuration: the shipped files load; what is wrong is named with key, value and limit."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -61,9 +60,3 @@ def _rows(**changes: Any) -> list[dict[str, Any]]:
 def test_an_arm_of_another_structure_is_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         load(NominalArm, CONFIGS / "arm.yaml", {"dh": _rows(**change)})
-
-
-def test_a_file_that_is_not_there_is_named() -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        load(NominalArm, Path("nowhere") / "arm.yaml")
-    assert caught.value.cause == "configuration.unreadable"

@@ -1,7 +1,6 @@
 """What cannot be started says so in one line with its cause, and ends with a status above 0."""
 
 import socket
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 import controller.__main__
 import plant_emulator.__main__
 import vision_pc.__main__
-from testbed.cli.main import main as command
 from testbed.realtime.launch import free_port
 from tests.support.paths import CONFIGS
 
@@ -109,40 +107,7 @@ def test_a_busy_port_is_found_before_anything_is_left_behind(
     assert not (tmp_path / "run").exists()
 
 
-def test_a_key_that_is_missing_is_named_by_both_ends(capsys: pytest.CaptureFixture[str]) -> None:
-    for service, key in (("controller", "controller.reference_link"), ("vision_pc", "vision.link")):
-        assert MAINS[service]([*configured(), "--set", f"{key}.link_key.file=/no/such/key"]) == 2
-        said = capsys.readouterr()
-        assert one_line(said.err) == (
-            f"{service}: configuration.key_missing: link key: /no/such/key: no such file"
-        )
-        assert said.out == ""
-
-
 @pytest.mark.parametrize("service", SERVICES)
 def test_a_missing_configuration_directory_is_named(service: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert MAINS[service](["--config-dir", "no-such-directory"]) == 2
     assert "configuration.unreadable" in one_line(capsys.readouterr().err)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "cause"),
-    [
-        (["demo", "--scenario", "nowhere"], "configuration.unknown_scenario"),
-        (["demo", "--lockstep", "--set", "plant.colour=red"], "configuration.unknown_key"),
-        (["up", "--set", "garden.gnome=1"], "configuration.unknown_file"),
-        (["up", "--set", "plant.payload"], "configuration.bad_override"),
-        (["doctor", "--json", "/proc/nothing/here.json"], "output.unwritable"),
-    ],
-)
-def test_the_command_answers_mistakes_in_one_line(
-    arguments: list[str], cause: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:  # fmt: skip
-    (tmp_path / "configs").symlink_to(CONFIGS)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["longreach", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        command()
-    assert ended.value.code == 2
-    assert f"longreach: {cause}: " in one_line(capsys.readouterr().err)

@@ -87,27 +87,6 @@ def test_a_move_while_disabled_is_a_problem_and_nothing_moves(face: httpx.Client
     assert np.linalg.norm(tool(face) - before) < HELD_M
 
 
-@pytest.mark.parametrize(
-    ("body", "status"),
-    [
-        ('{"offset_base_m": [NaN, 0, 0]}', 422),
-        ('{"offset_base_m": [1e999, 0, 0]}', 422),
-        ('{"offset_base_m": [0, 0]}', 422),
-        ('{"X_BT": {"p_m": [4, 0, 1], "q_wxyz": [0.9, 0.9, 0, 0]}}', 422),
-        ('{"height_m": 3}', 422),
-        ("not JSON", 422),
-    ],
-)
-def test_a_reference_that_is_none_is_refused_at_the_door(face: httpx.Client, body: str, status: int) -> None:
-    enabled(face)
-    before = tool(face)
-    answer = face.post("/operations/move", content=body, headers={"content-type": "application/json"})
-    assert answer.status_code == status
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert answer.json()["cause"]
-    assert np.linalg.norm(tool(face) - before) < HELD_M
-
-
 def test_an_unreachable_reference_fails_with_the_controllers_reason(face: httpx.Client) -> None:
     enabled(face)
     before = tool(face)

@@ -1,4 +1,4 @@
-"""The process: ready line, motion through real sockets, clean end, bad configuration, flight dump."""
+"""The process: ready line, motion through real sockets, clean end, flight dump."""
 
 import asyncio
 import contextlib
@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from controller.__main__ import main
 from controller.shell.scan_recorder import FILE, TOPICS
 from foundation.configuration import configuration_hash
 from foundation.recording.recovery import contents
@@ -282,22 +281,3 @@ async def test_sigterm_while_moving_ramps_down_and_centres(
     assert len(after) > 20  # a ramp, not a slam
     assert max(abs(b - a) for a, b in pairwise(after)) < 0.03
     assert (server.written[-1].control, server.written[-1].valves) == (0, (0.0,) * 6)
-
-
-@pytest.mark.parametrize(
-    ("setting", "cause"),
-    [
-        ("controller.cycle_ms=50", "configuration.less_than_equal"),
-        ("controller.cycle=5", "configuration.unknown_key"),
-        ("arm.joints=3", "configuration.tuple_type"),
-        ("controller", "configuration.bad_override"),
-        ("controller.excitation.enabled=true", "configuration.nothing_recorded"),
-    ],
-)
-def test_bad_configuration_is_one_line_and_status_2(
-    setting: str, cause: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    port = "controller.reference_link.port=0"  # another controller may run on this machine
-    assert main(["--config-dir", str(CONFIGS), "--set", port, "--set", setting]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"controller: {cause}: ")

@@ -9,7 +9,6 @@ import pytest
 
 from plant_emulator.core import plant as plant_module
 from plant_emulator.core.faults import effects, kinds
-from protocol.errors import ConfigurationError
 from tests.support.pages import page
 from tests.support.paths import ROOT, copied_configs
 
@@ -33,13 +32,6 @@ def test_the_page_s_scenario_draws_a_hot_and_heavy_world(configs: Path) -> None:
     assert 45.0 <= drawn["settings"].plant.oil.temperature_degc <= 65.0
     assert 50.0 <= drawn["settings"].plant.payload.mass_kg <= 150.0
     assert drawn["settings"].plant.oil.ambient_degc == 35.0
-
-
-def test_a_wrong_key_of_the_scenario_is_refused(configs: Path) -> None:
-    wrong = SCENARIO.replace("plant.oil.temperature_degc", "plant.oil.temprature_degc")
-    (configs / "scenarios" / "hot_oil.yaml").write_text(wrong, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="temprature_degc"):
-        exec(BLOCKS[0], {})
 
 
 def test_the_page_s_fault_swings_the_encoder(

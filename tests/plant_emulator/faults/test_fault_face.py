@@ -169,20 +169,11 @@ def test_everything_is_mended_at_once(face: Client, plant: Plant) -> None:
     ("body", "cause", "named"),
     [
         ({}, "request.invalid", "body.fault: Field required"),
-        ({"fault": {}}, "refused.unknown_fault", "kind"),
         ({"fault": {"kind": "gremlins"}}, "refused.unknown_fault", "'valve_stuck'"),
-        ({"fault": "supply_lost"}, "request.invalid", "body.fault = 'supply_lost'"),
-        ({"fault": {"kind": "valve_stuck", "joint": "elbow"}}, "refused.fault_parameter", "joint = 'elbow'"),
-        (
-            {"fault": {"kind": "valve_slow", "joint": "lift", "bandwidth_share": 2}},
-            "refused.fault_parameter",
-            "less than or equal to 1",
-        ),
         ({"fault": {"kind": "supply_lost", "force": 1}}, "refused.fault_parameter", "force = 1: Extra"),
         ({"fault": {"kind": "marker_covered", "marker_id": 17}}, "refused.unknown_marker", "0, 1, 2, 3"),
         ({"fault": {"kind": "supply_lost"}, "start_after_s": -1}, "request.invalid", "start_after_s"),
         ({"fault": {"kind": "supply_lost"}, "duration_s": 0}, "request.invalid", "duration_s"),
-        ({"fault": {"kind": "supply_lost"}, "duration_s": 1e9}, "request.invalid", "3600"),
         ({"fault": {"kind": "supply_lost"}, "when": "now"}, "request.invalid", "when"),
     ],
 )  # fmt: skip
@@ -206,13 +197,6 @@ def test_the_same_fault_twice_is_a_conflict(face: Client) -> None:
     order = {"fault": {"kind": "valve_stuck", "joint": "lift"}}
     number = face.post("/faults", json=order).json()["number"]
     assert f"number {number}" in problem(face.post("/faults", json=order), 409, "refused.fault_present")
-
-
-def test_unknown_ways_are_problems_too(face: Client) -> None:
-    problem(face.get("/nowhere"), 404, "request.not_found")
-    problem(face.request("PUT", "/faults", json={}), 405, "request.method_not_allowed")
-    problem(face.get("/faults/seven"), 422, "request.invalid")
-    problem(face.get("/faults/7"), 404, "refused.no_such_fault")
 
 
 def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(plant: Plant) -> None:
@@ -274,12 +258,6 @@ def test_only_pages_that_are_allowed_may_read_the_answers(plant: Plant) -> None:
 def test_a_restart_is_asked_for_without_a_body(face: Client, plant: Plant) -> None:
     answer = face.post("/world/restart")
     assert (answer.status_code, answer.json()) == (202, {"restarts": True})
-    assert not plant.faults.all()
-
-
-def test_a_body_that_is_too_large_is_refused_unread(face: Client, plant: Plant) -> None:
-    order = {"fault": {"kind": "supply_lost"}, "note": "x" * 20_000}
-    assert "too large" in problem(face.post("/faults", json=order), 413, "request.too_large")
     assert not plant.faults.all()
 
 

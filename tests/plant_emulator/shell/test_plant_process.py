@@ -270,9 +270,6 @@ def refused(settings: tuple[str, ...], arguments: tuple[str, ...] = ()) -> str:
 @pytest.mark.parametrize(
     ("setting", "cause", "named"),
     [
-        ("scene.camera.nosuch=1", "configuration.unknown_key", "camera.nosuch"),
-        ("scene.camera.blur_px=-1", "configuration.greater_than_equal", "camera.blur_px = -1"),
-        ("plant_service.period_ms=.nan", "configuration.finite_number", "period_ms"),
         ("scene.camera.lens.cx_px=2000", "configuration.value_error", "principal point"),
         ("scene.camera.lens.k1=-0.5", "configuration.value_error", "folds over"),
     ],

@@ -95,12 +95,6 @@ def test_the_check_says_what_is_bad_and_ends_accordingly(
     assert (f"BAD: {bad}" if bad else "verdict: good") in done.output
 
 
-def test_pictures_of_another_size_say_both(tmp_path: Path) -> None:
-    done = ended("check", pictures(tmp_path / "pairs", 0.0), *CONFIG)
-    assert done.exit_code == 2
-    assert "frame.wrong_size: pictures of 480x270 px an eye came, 1280x720 are wanted" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("made", "told"),
     [
@@ -118,14 +112,6 @@ def test_a_source_that_holds_no_pairs_is_named(tmp_path: Path, made: list[str], 
         done = ended(command, directory, *CONFIG)
         assert done.exit_code == 2
         assert told in done.stderr
-
-
-def test_pairs_without_a_board_are_no_calibration(tmp_path: Path) -> None:
-    to = tmp_path / "camera.yaml"
-    done = ended("calibrate", pictures(tmp_path / "pairs", 0.0), "--out", to, *CONFIG)
-    assert done.exit_code == 2
-    assert "refused.camera.too_few_views: 0 pairs show the board in both eyes, at least 8" in done.stderr
-    assert not to.exists()
 
 
 def test_a_zed_file_is_converted_and_a_bad_size_is_named(tmp_path: Path) -> None:

@@ -41,14 +41,6 @@ def test_a_recording_becomes_a_trajectory(vision_config: VisionConfig, tmp_path:
     np.testing.assert_allclose(rows[:, 1:4], [X[:3, 3] for X in true], atol=0.2e-3)
 
 
-def test_a_directory_that_is_not_there_is_named(tmp_path: Path) -> None:
-    nowhere = str(tmp_path / "nowhere")
-    result = CliRunner().invoke(app, ["odometry", "--left", nowhere, "--right", nowhere, "--calib", nowhere])
-    assert result.exit_code == 2
-    assert "longreach: configuration.bad_sequence: " in result.stderr
-    assert "nowhere" in result.stderr
-
-
 def recorded(vision_config: VisionConfig, tmp_path: Path, tool: str) -> list[str]:
     """The command's arguments for three pairs at 10 Hz and a file of tool poses that holds ``tool``."""
     camera = intrinsics.calibration(vision_config.camera)

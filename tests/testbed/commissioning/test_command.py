@@ -113,12 +113,6 @@ def test_a_session_of_another_machine_is_refused(session: Path) -> None:
     assert raised.value.cause == "commissioning.other_session"
 
 
-def test_an_unknown_joint_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError) as raised:
-        run_commission(requested(tmp_path)._replace(joints=["elbow"]))
-    assert raised.value.cause == "configuration.unknown_joint"
-
-
 def test_a_spoilt_recording_is_refused(session: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.npz").write_bytes((session / "wrist3.npz").read_bytes()[:1000])
     with pytest.raises(ConfigurationError) as raised:

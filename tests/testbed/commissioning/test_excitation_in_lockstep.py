@@ -94,16 +94,6 @@ def test_a_stopped_joint_is_begun_anew_after_enable(exciting: Exciting) -> None:
     assert world.controller.excitation.stroke == 0
 
 
-def test_a_plant_that_does_not_move_is_named(exciting: Exciting) -> None:
-    slow = "controller.excitation.search_rate_1_s=0.1"
-    world = exciting(5, slow, "plant.valves.deadband=0.4")
-    assert world.clock.advance_until(lambda: world.controller.excitation.trouble is not None, 10.0)
-    trouble = world.controller.excitation.trouble
-    assert trouble is not None
-    assert trouble.cause == "commissioning.no_motion"
-    assert_centred(world)
-
-
 def test_the_deadband_of_a_drawn_valve_is_found(exciting: Exciting) -> None:
     world = exciting(5, "controller.excitation.ramps=2", "plant.valves.deadband=0.03")
     controller = world.controller

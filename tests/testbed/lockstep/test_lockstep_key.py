@@ -76,10 +76,3 @@ def test_replays_and_forgeries_on_the_wire_change_nothing_but_the_counters(keyed
     assert world.states[-1].references_dropped > 2 * len(heard) - 50
     assert world.states[-1].references_lost == 0
     assert all(decode(data).header.flags & 0x100 for data in heard)
-
-
-def test_a_key_on_one_side_alone_opens_nothing(keyed: tuple[str, str]) -> None:
-    for assignment in keyed:
-        world = until(world_of(assignment), 600 * MS)
-        assert not world.connected
-        assert not world.states

@@ -61,10 +61,3 @@ def test_a_table_has_a_row_a_message_and_a_column_a_number(tmp_path: Path) -> No
         "count": "",
     }  # fmt: skip
     assert (second["level_m"], second["count"]) == ("", "3")
-
-
-def test_what_is_no_recording_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"no")
-    done = CliRunner().invoke(app, ["recording", "info", str(tmp_path / "x.mcap")])
-    assert done.exit_code == 2
-    assert "recording.no_recording" in done.output

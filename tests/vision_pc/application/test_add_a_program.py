@@ -17,9 +17,6 @@ import pytest
 
 from tests.support.pages import page
 from tests.support.paths import ROOT
-from tests.vision_pc.synthetic_station import bench
-from vision_pc.application.programs import PROGRAMS
-from vision_pc.shell.rest.api import create_app
 
 TEXT = page("how_to/add_a_program.md")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
@@ -48,26 +45,6 @@ def test_the_page_s_program_runs_in_lockstep(page_module: Callable[[str], Any]) 
     ended = [event for event in run_it.rig.world.log.events if event["event"] == "operation_ended"]
     assert ended[-1]["kind"] == "there-and-back"
     assert 0.0 < ended[-1]["result"]["shift_mm"] < 5.0
-
-
-async def test_the_page_s_program_is_served_with_its_guards_and_ranges(
-    page_module: Callable[[str], Any],
-) -> None:
-    row = page_module("there_and_back").THERE_AND_BACK
-    async with bench() as made:
-        app = create_app(made.station, made.operations, (*PROGRAMS, row))
-        made.client = httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://vision")
-        async with made.client:
-            refused = await made.post("/operations/there-and-back")
-            assert (refused.status_code, refused.json()["cause"]) == (409, "refused.disabled")
-            await made.post("/enable")
-            too_far = await made.post("/operations/there-and-back", {"stroke_mm": 301.0})
-            assert (too_far.status_code, too_far.json()["cause"]) == (422, "request.invalid")
-            ended = await made.run("there-and-back", {"stroke_mm": 30.0})
-            assert ended["state"] == "succeeded", ended["problem"]
-            assert ended["result"]["shift_mm"] < 5.0
-            member = app.openapi()["components"]["schemas"]["StrokeBody"]["properties"]["stroke_mm"]
-            assert member["anyOf"][0] == {"type": "number", "maximum": 300.0, "exclusiveMinimum": 0.0}
 
 
 def test_the_page_s_service_serves_it(page_module: Callable[[str], Any]) -> None:

@@ -294,12 +294,6 @@ def test_two_cameras_at_once_and_files_that_are_not_there_are_refused(
         load(VisionConfig, VISION_YAML, parse_overrides(assignments)["vision"])
 
 
-def test_numbers_cannot_be_set_beside_a_file() -> None:
-    both = ["vision.camera.calibration=camera.yaml", "vision.camera.calibration.left.fx_px=700"]
-    with pytest.raises(ConfigurationError, match="calibration already has a value"):
-        parse_overrides(both)
-
-
 def test_a_file_for_another_size_says_both(tmp_path: Path) -> None:
     path = write(tmp_path / "camchain.yaml", camchain())
     asked = [

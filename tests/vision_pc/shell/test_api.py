@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from protocol.faults import GroupState
 from tests.vision_pc.shell.loopback_controller import until
 from tests.vision_pc.shell.problems import refused
 from tests.vision_pc.synthetic_station import Bench, bench
@@ -47,28 +46,6 @@ async def test_best_mode_needs_one_look(station: Bench) -> None:
     assert len(moved["result"]["looks"]) == 2  # one before, one for the verdict
     assert np.abs(station.rig.true_error(0.1)[:2]).max() < 0.005
     assert abs(moved["result"]["measured_miss_mm"]["x"]) < 5.0
-
-
-async def test_nothing_moves_before_enable(station: Bench) -> None:
-    for kind, body in (
-        ("move", {"offset_base_m": [0.0, 0.1, 0.0]}),
-        ("orientation-adjustment", None),
-        ("trajectory-matching", None),
-        ("line-equation", None),
-        ("local-track", None),
-    ):
-        refused(await station.post(f"/operations/{kind}", body), 409, "refused.disabled")
-    assert station.controller.requests == []
-    assert (await station.client.get("/operations")).json() == []
-
-
-async def test_look_while_moving_is_refused_and_so_is_everything_else(station: Bench) -> None:
-    await station.post("/enable")
-    move = await station.post("/operations/move", {"offset_base_m": [-0.5, 0.3, 0.3]})
-    await until(lambda: station.station.controller.state.group_state is GroupState.MOVING)
-    refused(await station.post("/operations/look"), 409, "refused.moving")
-    refused(await station.post("/operations/move", {"offset_base_m": [0.0, 0.0, 0.1]}), 409, "refused.moving")
-    assert (await station.ended(move.headers["Location"]))["state"] == "succeeded"
 
 
 async def test_one_operation_at_a_time(station: Bench) -> None:

@@ -74,21 +74,16 @@ async def test_who_finds_no_place_to_wait_is_answered_at_once(
     [
         ("move", {}),
         ("move", {"offset_base_m": [0, 0, 0], "offset_tool_m": [0, 0, 0]}),
-        ("move", {"offset_base_m": [0, 0]}),
         ("move", {"offset_base_m": [0, 0, 100.0]}),
         ("move", {"X_BT": {"p_m": [3, 0, 1], "q_wxyz": [1, 1, 0, 0]}}),
         ("move", {"offset_base_m": [0, 0, 0], "speed": 3}),
         ("look", {"frames": 0}),
-        ("look", {"frames": 10_000}),
         ("trajectory-matching", {"segments_m": [0.1]}),
-        ("trajectory-matching", {"method": "magic"}),
-        ("line-equation", {"points": 500}),
         ("look-then-move", {"tolerance_mm": -1.0}),
         ("look-then-move", {"inputs": 2}),  # of the other method
         ("look-then-move", {"method": "paper", "corrections": 1}),
         ("orientation-adjustment", {"form": 7}),
         ("looking-and-moving", {"gain": 2.0}),
-        ("looking-and-moving", {"settle_mm": -1.0}),
     ],
 )
 async def test_bad_bodies_are_named(station: Bench, kind: str, body: Any) -> None:

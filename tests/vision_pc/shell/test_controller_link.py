@@ -189,18 +189,6 @@ async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_refer
     assert failed.value.cause == "motion.not_settled"
 
 
-async def test_unreachable_is_refused_whole(
-    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
-) -> None:
-    await link.command(CommandCode.ENABLE)
-    before = controller.rig.q.copy()
-    with pytest.raises(RequestRefused) as refused:
-        await arm.follow([shifted(0.0, 0.1, 0.0), shifted(9.0, 0.0, 0.0)])
-    assert refused.value.cause == "refused.unreachable"
-    await asyncio.sleep(0.05)
-    assert np.array_equal(controller.rig.q, before)
-
-
 @pytest.mark.parametrize(
     ("limit_deg", "named"),
     [(104.7, " of lift"), (104.2, " of lift"), (-8.7, ""), (89.5, " of wrist1 or wrist2"), (80.0, "")],

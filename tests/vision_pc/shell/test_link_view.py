@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foundation.secret_source import SecretSource, key_from_file
-from protocol.errors import ConfigurationError, LinkLost
+from protocol.errors import LinkLost
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import ANY_ARM
 from tests.support.log_lines import HeardLog
@@ -116,10 +116,3 @@ async def test_a_key_that_the_controller_does_not_have_is_told_and_not_given_up(
     assert controller.session.session is None
     await endpoint.close()
     await controller.stop()
-
-
-def test_a_key_file_that_others_may_read_stops_the_start(key_file: Path) -> None:
-    key_file.chmod(0o644)
-    with pytest.raises(ConfigurationError) as refused:
-        a_link(1, HeardLog("vision_pc"), key_file)
-    assert refused.value.cause == "configuration.key_exposed"

@@ -79,44 +79,6 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
     assert last["event"] == "stopped"
 
 
-def test_a_busy_port_ends_it_with_status_2_and_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.socket() as occupant:
-        occupant.bind(("127.0.0.1", 0))
-        occupant.listen()
-        port = occupant.getsockname()[1]
-        assert main(arguments(f"vision.api.port={port}")) == 2
-    told = capsys.readouterr()
-    assert told.err.startswith("vision_pc: configuration.port_busy: vision.api = 127.0.0.1:")
-    assert told.err.count("\n") == 1
-    assert told.out == ""
-
-
-@pytest.mark.parametrize(
-    ("setting", "cause"),
-    [
-        ("vision.programs.positioning.tolerance_m=-1", "configuration.greater_than"),
-        ("vision.nonsense=1", "configuration.unknown_key"),
-        ("vision.api.port", "configuration.bad_override"),
-    ],
-)
-def test_a_bad_configuration_ends_it_with_status_2_and_one_line(
-    setting: str, cause: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments(setting)) == 2
-    told = capsys.readouterr()
-    assert told.err.startswith(f"vision_pc: {cause}: ")
-    assert told.err.count("\n") == 1
-
-
-def test_a_record_directory_that_cannot_be_written_ends_it_with_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("")
-    where = str(tmp_path / "file" / "records")
-    assert main([*arguments(f"vision.api.port={free_port()}"), "--record-dir", where]) == 2
-    assert capsys.readouterr().err.startswith("vision_pc: configuration.record_dir_unwritable: ")
-
-
 def test_a_sessions_directory_of_somebody_else_ends_it_with_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
