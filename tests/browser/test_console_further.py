@@ -10,13 +10,10 @@ import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
-from protocol.faults import FaultCode, GroupState
+from protocol.faults import FaultCode
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note
 from tests.browser.open_console import eventually, opened
 from tests.vision_pc.shell.rest_server import served_bench
-from vision_pc.core.targets.keeper import KeptTarget
-from vision_pc.core.targets.sighting import Click
-from vision_pc.core.targets.target import TargetRefused
 
 pytestmark = [
     pytest.mark.realtime,
@@ -31,10 +28,9 @@ class NearEmulator:
 
     at = "http://127.0.0.1:9"
 
-    def __init__(self, allowed: bool, shows_truth: bool) -> None:
+    def __init__(self) -> None:
         self.restarts: list[dict[str, str]] = []
         self.asked: list[dict[str, str]] = []
-        self._allowed, self._shows_truth = allowed, shows_truth
 
     def answer_for(self, page: Page) -> None:
         page.route(f"{self.at}/**", self._answer)
@@ -46,17 +42,13 @@ class NearEmulator:
         if path == "/world/restart":
             self.restarts.append(route.request.headers)
             return route.fulfill(status=202, json={"restarts": True}, headers=ours)
-        if path == "/truth" and not self._shows_truth:
-            return route.fulfill(
-                status=404, json={"cause": "refused.truth_hidden", "detail": "-"}, headers=ours
-            )
         points = [[0.0, 0.0, 0.0], [-0.19, 0.0, 0.85], [0.8, 0.0, 2.2], [3.5, 0.0, 1.0], [3.9, 0.0, 1.0]]
-        told = {"allowed": self._allowed} if path == "/faults" else {"time_ns": 1, "arm_points_m": points}
+        told = {"allowed": True} if path == "/faults" else {"time_ns": 1, "arm_points_m": points}
         return route.fulfill(json=told, headers=ours)
 
 
 def test_the_true_arm_comes_from_the_emulator_alone_and_its_world_begins_anew(browser: Browser) -> None:
-    emulator, tokens = NearEmulator(allowed=True, shows_truth=True), {Role.OPERATE: OPERATE, Role.LOOK: LOOK}
+    emulator, tokens = NearEmulator(), {Role.OPERATE: OPERATE, Role.LOOK: LOOK}
     with served_bench(emulator_face=emulator.at, tokens=tokens) as (url, _):
         page_of = opened(browser, f"{url}#t={OPERATE.hex()}", emulator.answer_for, also=f"{emulator.at}/")
         with page_of as page:
@@ -67,58 +59,6 @@ def test_the_true_arm_comes_from_the_emulator_alone_and_its_world_begins_anew(br
             hold(page, "#restart-world")
             eventually(lambda: len(emulator.restarts) == 1, page)
     assert not [headers for headers in emulator.asked if "authorization" in headers]  # our token is ours
-
-
-def test_an_emulator_that_hides_its_truth_and_allows_nothing_is_shown_as_nothing(browser: Browser) -> None:
-    emulator = NearEmulator(allowed=False, shows_truth=False)
-    with (
-        served_bench(emulator_face=emulator.at) as (url, _),
-        opened(browser, url, emulator.answer_for, also=f"{emulator.at}/") as page,
-    ):
-        is_state(page, "standby")
-        eventually(lambda: len(emulator.asked) == 2, page)
-        expect(page.locator("#truth-told")).to_be_hidden()
-        expect(page.locator("#side-view path.ghost")).to_have_count(0)
-        expect(page.locator("#restart-world")).to_have_count(0)
-
-
-CLICKS_IN_VAIN = {
-    "target.outside_picture": "target: 40 px from the picture's rim are wanted",
-    "target.frame_too_old": "target: picture 12 is no longer kept",
-    "target.low_texture": "target: the surface is bare",
-    "target.ambiguous": "target: 3 places look alike",
-    "target.not_planar": "target: what is there is no plane",
-    "target.hidden": "target: the tool is before it",
-    "target.moves": "target: what is there has moved by 7 px since",
-}
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-def test_a_click_that_means_nothing_is_answered_in_words_and_nothing_moves(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch, width: int
-) -> None:
-    with served_bench() as (url, bench):
-        bench.eyes.picture_s = 0.5
-        causes = list(CLICKS_IN_VAIN)
-
-        async def refuse(click: Click, frame_id: int | None) -> KeptTarget:
-            raise TargetRefused(causes[0], CLICKS_IN_VAIN[causes[0]])
-
-        with opened(browser, url, viewport={"width": width, "height": 844}) as page:
-            expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
-            page.locator("#find-holes").click()
-            expect(page.locator("#aims path.hole")).to_have_count(1, timeout=WITHIN_MS)
-            monkeypatch.setattr(bench.eyes, "target_at", refuse)
-            while causes:
-                page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
-                told = f"{CLICKS_IN_VAIN[causes[0]]} ({causes[0]})"
-                expect(page.locator("#answer")).to_contain_text(told, timeout=WITHIN_MS)
-                causes.pop(0)
-            expect(page.locator("#aims path.hole")).to_have_count(1)  # of a row, clicked one by one
-            expect(page.locator("#target-rows li.aimed")).to_contain_text("the object’s markers")
-            expect(page.locator("#answer")).to_be_in_viewport()
-            is_state(page, "standby")
-    assert bench.controller.group is GroupState.STANDBY
 
 
 def click_until(page: Page, words: str) -> None:

@@ -1,4 +1,4 @@
-"""The containers: what the compose files, the image and the page about them promise, without an engine."""
+"""The containers: what the compose files and the image promise, without an engine."""
 
 import re
 import subprocess
@@ -9,8 +9,6 @@ import yaml
 
 from foundation.configuration import parse_overrides
 from foundation.incidents import INCIDENTS
-from foundation.rest.no_token import NO_TOKEN
-from tests.support.pages import page, rows
 from tests.support.paths import ROOT
 
 TOKENS = "/var/lib/longreach-tokens"
@@ -160,10 +158,3 @@ def test_real_time_is_one_right_of_plant_and_controller() -> None:
         assert "--reuid=longreach" in each["entrypoint"]
         assert "--bounding-set=-all,+sys_nice" in each["entrypoint"]
         assert set(each) == {"user", "cap_add", "entrypoint"}, "nothing else is loosened"
-
-
-def test_the_page_has_every_variable_of_the_file_and_no_other() -> None:
-    text = (ROOT / "docker-compose.yml").read_text()
-    read = set(re.findall(r"\$\{(\w+):", text)) - {"LONGREACH_PROMETHEUS", "LONGREACH_GRAFANA"}  # images
-    assert set(rows(page("containers.md"), "variable")) == read
-    assert NO_TOKEN in read

@@ -16,7 +16,6 @@ from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
 from protocol.process_image import ValveImage, encode_valves
-from tests.support.pages import page, rows
 
 READ_PDU = bytes.fromhex("03 0000 0028")
 READ = struct.pack(">HHHB", 1, 0, len(READ_PDU) + 1, 1) + READ_PDU
@@ -326,11 +325,3 @@ def test_who_yields() -> None:
     assert who_yields([a_old, b_old], "c", None, 2, 2) is a_old
     assert who_yields([a_old, b_old], "c", a_old, 2, 2) is b_old
     assert who_yields([a_old], "c", a_old, 1, 1) is None
-
-
-def test_the_limits_are_those_of_the_page() -> None:
-    limits_of = {what: row[0] for what, row in rows(page("plant.md"), "what | limit").items()}
-    assert limits_of["connections, of one address"] == f"{limits.PLACES}, {limits.PLACES_OF_ONE_ADDRESS}"
-    assert limits_of["requests of the writer in a step of the loop"] == str(SLICE)
-    assert limits_of["a connection that asks nothing"] == f"{limits.QUIET_NS // 10**9} s"
-    assert limits.UNREAD_NS == 10**9

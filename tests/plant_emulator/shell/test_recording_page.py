@@ -15,7 +15,7 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import drawing
 from plant_emulator.shell.truth_message import columns_of, holes_of
-from plant_emulator.shell.truth_recorder import TOPICS, FaultMessage, TruthRecorder
+from plant_emulator.shell.truth_recorder import TOPICS, TruthRecorder
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.pages import page, rows
 from tests.support.paths import CONFIGS
@@ -66,10 +66,6 @@ def test_every_channel_is_there_with_its_schema(recording: Path) -> None:
         metadata = {record.name: set(record.metadata) for record in reader.iter_metadata()}
     assert found == {topic: cells[0].strip("`") for topic, cells in table.items()}
     assert metadata == {"run": {"configuration"}, "session": {"id"}}
-
-
-def test_every_field_of_a_fault_is_there() -> None:
-    assert list(rows(PAGE, "member")) == [field.name for field in FaultMessage.DESCRIPTOR.fields]
 
 
 def test_the_ten_lines_run(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,12 +3,11 @@
 import json
 from pathlib import Path
 
-import pytest
 from typer.testing import CliRunner
 
 from protocol.errors import ConfigurationError
 from testbed.cli.config import app
-from testbed.scenarios.configuration_keys import described_keys, unit
+from testbed.scenarios.configuration_keys import described_keys
 from tests.support.paths import CONFIGS
 
 
@@ -33,11 +32,3 @@ def test_what_no_key_holds_is_refused() -> None:
     done = CliRunner().invoke(app, ["list", "nonsense"])
     assert isinstance(done.exception, ConfigurationError)
     assert done.exception.cause == "configuration.unknown_key"
-
-
-@pytest.mark.parametrize(
-    ("key", "expected"),
-    [("a.reach_m", "m"), ("a.b.rest_s", "s"), ("a.gain_per_s", "1/s"), ("a.frames", ""), ("a.s", "")],
-)
-def test_units_are_read_from_names(key: str, expected: str) -> None:
-    assert unit(key) == expected

@@ -1,4 +1,4 @@
-"""One word for one thing in every command, and every command that a page shows is understood."""
+"""Every command that a page or an example shows is understood."""
 
 import re
 import shlex
@@ -8,8 +8,6 @@ from typing import Any
 
 import pytest
 import typer
-from click.testing import Result
-from typer.testing import CliRunner
 
 from testbed.cli.main import app
 
@@ -17,12 +15,6 @@ pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
-WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
-    "up", "init", "token new", "arm new", "arm draw", "runs open",
-    "camera convert", "camera emulate", "camera serve", "hand-eye drawing", "hand-eye session run",
-    "hand-eye session export", "hand-eye samples",
-}  # fmt: skip
 _SHOWN = re.compile(r"longreach((?: +(?:'[^']*'|[^\s`|#()<>]+))+)")
 
 
@@ -43,21 +35,6 @@ def commands() -> dict[str, Any]:
 
 def options(command: Any) -> set[str]:
     return {name for parameter in command.params for name in parameter.opts if name.startswith("-")}
-
-
-def asked(*words: str) -> Result:
-    return CliRunner().invoke(app, list(words))
-
-
-def test_one_word_for_one_thing(commands: dict[str, Any]) -> None:
-    for path, command in commands.items():
-        assert not options(command) & SAID_OTHERWISE, path
-        assert path in WITHOUT_FIGURES or "--json" in options(command), path
-        named = [getattr(p, "help", None) or "" for p in command.params if p.param_type_name == "argument"]
-        assert not [told for told in named if "Where" in told or "to write" in told], (path, "wants --out")
-    assert set(commands) >= WITHOUT_FIGURES
-    several = {"experiment paper", "experiment positioning"}
-    assert all({"--count", "--seed"} <= options(commands[path]) for path in several)
 
 
 def _shown(text: str) -> Iterator[list[str]]:

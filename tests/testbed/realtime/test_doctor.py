@@ -3,7 +3,6 @@
 import json
 import os
 import socket
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -34,19 +33,6 @@ def test_the_pythons_of_the_lock_pass_and_others_are_told_the_limit(
     check = doctor.python_check()
     assert check.verdict == verdict
     assert ("3.11, 3.12 or 3.13" in check.advice) == (verdict == "failed")
-
-
-def test_everything_that_names_pythons_names_the_same() -> None:
-    named = [".".join(map(str, version)) for version in doctor.PYTHONS]
-    in_words = f"Python {', '.join(named[:-1])} or {named[-1]}"
-    assert in_words in (ROOT / "README.md").read_text()
-    assert (ROOT / "Makefile").read_text().count(in_words) >= 3
-    assert in_words in doctor.PYTHONS_IN_WORDS
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    following = f"{doctor.PYTHONS[-1][0]}.{doctor.PYTHONS[-1][1] + 1}"
-    assert project["requires-python"] == f">={named[0]},<{following}"
-    classifiers = [line.rpartition(" ")[2] for line in project["classifiers"] if ":: Python ::" in line]
-    assert classifiers == named
 
 
 def test_a_package_of_another_version_is_named(tmp_path: Path) -> None:

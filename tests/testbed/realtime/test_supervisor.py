@@ -11,7 +11,6 @@ import pytest
 
 from foundation.incidents import IncidentFile
 from testbed.realtime.child import INCIDENT_FILE, Service, ServiceFailed
-from testbed.realtime.launch import free_port
 from testbed.realtime.supervisor import Supervisor, supervised
 
 pytestmark = pytest.mark.realtime
@@ -94,23 +93,6 @@ def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     assert not alive(pid)
 
 
-def test_free_ports_are_free() -> None:
-    import socket
-
-    port = free_port()
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", port))
-        server.listen()
-        assert free_port() != port
-
-
-def test_a_killed_service_is_told_with_its_signal(tmp_path: Path) -> None:
-    with supervised([service("lives")], tmp_path) as supervisor:
-        supervisor.children["service"].kill()
-        with pytest.raises(ServiceFailed, match=r"by itself with signal SIGKILL \(somebody else ended it\)$"):
-            supervisor.check()
-
-
 def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str]:
     lines: list[str] = []
     until_s = time.monotonic() + within_s
@@ -160,21 +142,6 @@ def test_a_service_that_crashes_is_started_anew_alone(tmp_path: Path) -> None:
     (noted,) = IncidentFile(tmp_path / INCIDENT_FILE).newest()
     assert (noted.service, noted.cause) == ("second", "service.crashed")
     assert noted.detail == f"{crashed}; it is started anew"
-
-
-@pytest.mark.slow("services start and crash")
-def test_three_crashes_end_all_with_the_cause_of_the_first(tmp_path: Path) -> None:
-    with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
-        for name, number in (("second", signal.SIGSEGV), ("first", signal.SIGKILL)):
-            os.kill(supervisor.children[name].pid, number)
-            told_until(supervisor, "ready again", 20.0)
-        os.kill(supervisor.children["second"].pid, signal.SIGKILL)
-        quoted = (
-            r"^3 crashes within a minute; the first, at \d\d:\d\d:\d\d: second crashed with signal SIGSEGV"
-        )
-        with pytest.raises(ServiceFailed, match=quoted) as caught:
-            told_until(supervisor, "never", 20.0)
-        assert caught.value.cause == "service.crashed"
 
 
 @pytest.mark.slow("a service starts three times")

@@ -1,9 +1,8 @@
 """The annotated picture: outlines where the corners are, frames where the poses are, words for the rest."""
 
-import cv2
 import numpy as np
 
-from vision_pc.application.annotate import annotated, in_words, png
+from vision_pc.application.annotate import annotated, in_words
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import CameraCalibration, FrameObservation, MarkerObservation, StereoPair
 
@@ -43,9 +42,3 @@ def test_what_was_not_seen_is_said_and_no_error_is_made_up() -> None:
     assert not any(line.startswith("error") for line in lines)
     shown = in_words(observation(True), 0.1)
     assert shown[-1] == "error: x +10.0  y +0.0  z -100.0 mm"
-
-
-def test_png_is_the_same_picture(camera: CameraCalibration) -> None:
-    picture = annotated(pair(), observation(True), camera, 0.1)
-    read = cv2.imdecode(np.frombuffer(png(picture), np.uint8), cv2.IMREAD_COLOR)
-    assert np.array_equal(read, picture)

@@ -112,16 +112,3 @@ async def test_what_was_found_out_is_void_then() -> None:
         refused = await made.post("/operations/look-then-move", {"method": "corrected"})
         assert (refused.status_code, refused.json()["cause"]) == (409, "refused.not_calibrated")
         assert made.events("machine_begun_anew")[0]["targets_lost"] == ["t1"]
-
-
-async def test_what_fails_on_a_machine_that_does_not_keep_up_says_that_first() -> None:
-    async with bench() as made:
-        await made.controller.stop()
-        refused = (await made.post("/enable")).json()
-        made.station.overload = lambda: "30 % of the pictures were skipped"
-        overloaded = (await made.post("/enable")).json()
-    assert refused["cause"].startswith("link.")
-    assert (
-        overloaded["advice"]
-        == f"This machine does not keep up: close other work on it first. {refused['advice']}"
-    )
