@@ -46,7 +46,7 @@ LABORATORY := $(addprefix tests/, \
 		lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
 	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
 		$(addprefix hand_eye/test_, cabinet.py held_out.py robust.py) \
-		$(addprefix odometry/test_, arm_motion.py bundle_adjustment.py odometry_worlds.py segments.py) \
+		$(addprefix odometry/test_, arm_motion.py bundle_adjustment.py segments.py) \
 		$(addprefix perception/test_, chance_markers.py other_prints.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
 		$(addprefix shell/test_, api_schema.py genicam.py strangers.py target_routes.py)))

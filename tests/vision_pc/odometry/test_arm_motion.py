@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tests.vision_pc.odometry.test_odometry import pair_at
-from tests.vision_pc.odometry.test_odometry_worlds import TRUE, moving
 from tests.vision_pc.rendering import cropped, wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
@@ -70,24 +69,6 @@ def test_without_a_state_nothing_is_foreseen(config: VisionConfig) -> None:
 @pytest.fixture(scope="module")
 def texture() -> Array:
     return wall_texture(1, 22.0)
-
-
-@pytest.mark.parametrize("share", [0.45, 0.6])
-def test_the_rig_goes_on_where_something_large_moves(
-    camera: CameraCalibration, config: VisionConfig, texture: Array, share: float
-) -> None:
-    """What was ``two_motions`` without the arm; and an arm that says it stands still is believed too."""
-    pairs = moving(camera, texture, share)
-    odometry = StereoOdometry(camera, config.odometry)
-    found = [odometry.process(pair, X_BT=told(X)) for pair, X in zip(pairs, TRUE, strict=True)]
-    errors = [np.linalg.norm(se3.local(X, f.X_C0C)[:3]) for X, f in zip(TRUE, found, strict=True) if f]
-    assert len(errors) >= len(TRUE) - 1, "undecided until both are 12 mm apart"
-    assert found[-1] is not None
-    assert max(errors) < 1e-3
-    still = StereoOdometry(camera, config.odometry)
-    stood = [still.process(pair, X_BT=told(TRUE[0])) for pair in pairs]
-    assert stood[-1] is None
-    assert still.last_loss in ("two_motions", "sudden_motion")
 
 
 def test_one_motion_that_the_arm_did_not_make_is_not_believed(

@@ -17,6 +17,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 
 WALL_TILT = np.diag([1.0, -1.0, -1.0]) @ se3.exp_so3(np.radians([8.0, -10.0, 3.0]))
+DISPARITY_PX, PENUMBRA_PX = 42.0, 20.0  # of the wall; of a shadow on it
 LEGS = np.array([[0.5, 0.0, 0.0], [0.25, 0.25, 0.0], [0.1, -0.1, 0.2]])
 
 
@@ -221,6 +222,34 @@ def test_light_that_comes_at_once_loses_nothing(
         found = odometry.process(pair._replace(left=left, right=right))
         assert found is not None, f"picture {k}"
         assert np.linalg.norm(se3.local(X, found.X_C0C)[:3]) < 0.3e-3
+
+
+def shaded(pair: StereoPair, edge: float) -> StereoPair:
+    """``pair`` where the wall is in the shade right of ``edge``, a share of the left picture's columns."""
+    columns = np.arange(pair.left.shape[1])
+    pictures = []
+    for picture, disparity_px in ((pair.left, 0.0), (pair.right, DISPARITY_PX)):
+        beyond = np.clip((columns + disparity_px - edge * len(columns)) / PENUMBRA_PX, 0.0, 1.0)
+        pictures.append(np.rint(picture * (1.0 - 0.64 * beyond)).astype(np.uint8))
+    return pair._replace(left=pictures[0], right=pictures[1])
+
+
+@pytest.mark.slow("pictures in a shade that moves")
+def test_a_shadow_that_comes_and_goes_leaves_no_trace(
+    camera: CameraCalibration, config: VisionConfig, texture: Array
+) -> None:
+    """An arm at rest before a wall over which a shadow sweeps: each time a keyframe was made where few points
+    held it, and the path walked off by a millimetre and more in a minute.
+    """
+    odometry = StereoOdometry(camera, config.odometry)
+    rest = pair_at(camera, texture, np.eye(4))
+    errors = []
+    for k, edge in enumerate(3 * [1.0, 0.8, 0.6, 0.4, 0.2, 0.0, 0.3, 0.7]):
+        found = odometry.process(shaded(rest, edge))
+        assert found is not None, f"picture {k}: {odometry.last_loss}"
+        errors.append(float(np.linalg.norm(found.X_C0C[:3, 3])))
+    assert max(errors) < 0.2e-3
+    assert odometry.keyframes == 1
 
 
 def test_camera_that_jumped_while_blind_is_relocalised(

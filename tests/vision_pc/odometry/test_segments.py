@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tests.vision_pc.odometry.test_odometry import pair_at
-from tests.vision_pc.odometry.test_odometry_worlds import composed
 from tests.vision_pc.rendering import wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
@@ -21,6 +20,17 @@ def texture() -> Array:
 
 def at(x: float) -> Array:
     return se3.transform(np.eye(3), (x, 0.3 * x, 0.0))
+
+
+def composed(rest: StereoPair, part: StereoPair, share: float) -> StereoPair:
+    """``rest`` with the left ``share`` of its columns taken from ``part``, in both eyes."""
+    edge = int(share * rest.left.shape[1])
+    pictures = []
+    for whole, other in ((rest.left, part.left), (rest.right, part.right)):
+        picture = whole.copy()
+        picture[:, :edge] = other[:, :edge]
+        pictures.append(picture)
+    return rest._replace(left=pictures[0], right=pictures[1])
 
 
 def with_mover(
