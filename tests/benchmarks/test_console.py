@@ -1,9 +1,8 @@
-"""What the console costs and how fast it is: the real services, a real browser, `make bench`."""
+"""How fast the console is: the real services, a real browser, `make bench`."""
 
 import contextlib
 import os
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,11 +14,10 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from controller.shell.scan_recorder import FILE
-from testbed.realtime.launch import CONTROLLER, VISION
+from testbed.realtime.launch import CONTROLLER
 from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state
 from tests.browser.stop_times import RESTED_S, read_scans, standby_openings, stop_times
 from tests.integration.services import Running, running, until_healthy
-from tests.support.paired import mean_and_half_width
 
 pytestmark = [
     pytest.mark.bench,
@@ -28,10 +26,9 @@ pytestmark = [
 ]
 DESK: Any = {"width": 1440, "height": 900}
 WATCHED_S = 60.0
-ROUNDS, WINDOW_S = 8, 10.0
 TRIALS = int(os.environ.get("CONSOLE_STOPS", "100"))
 EVERY_SCAN_HZ = 1000  # or as many as there are
-PAGE_KB, WATCHER_PERCENT, CANVAS_MS, STOP_MS = 250.0, 6.0, 120.0, 150.0
+PAGE_KB, CANVAS_MS, STOP_MS = 250.0, 120.0, 150.0
 
 
 @contextlib.contextmanager
@@ -98,64 +95,6 @@ def test_from_capture_to_canvas_and_the_page_itself(browser: Browser, tmp_path: 
     print(f"pictures: {len(drawn) / WATCHED_S:.1f} a second")
     assert page_kb <= PAGE_KB
     assert np.percentile(taken, 95) <= CANVAS_MS
-
-
-def follow(url: str, path: str, ended: threading.Event) -> None:
-    with httpx.Client(timeout=10.0) as client, client.stream("GET", url + path) as answer:
-        for _ in answer.iter_bytes():
-            if ended.is_set():
-                return
-
-
-@contextlib.contextmanager
-def watchers(url: str, count: int) -> Iterator[None]:
-    """As many that follow state and pictures as a console does."""
-    ended = threading.Event()
-    paths = ["/events", "/camera/live"] * count
-    threads = [threading.Thread(target=follow, args=(url, path, ended)) for path in paths]
-    for thread in threads:
-        thread.start()
-    try:
-        time.sleep(1.0)
-        yield
-    finally:
-        ended.set()
-        for thread in threads:
-            thread.join()
-
-
-def processor_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def window(rig: Running, count: int) -> tuple[float, int]:
-    """Percent of a core that vision takes with ``count`` watchers, and the scans that overran meanwhile."""
-    pid = rig.supervisor.children[VISION].pid
-    with watchers(rig.launch.rest_url, count):
-        overruns = rig.face.get("/state").json()["cycle"]["overruns"]
-        began_s, used_s = time.monotonic(), processor_s(pid)
-        time.sleep(WINDOW_S)
-        share = (processor_s(pid) - used_s) / (time.monotonic() - began_s)
-        return 100.0 * share, rig.face.get("/state").json()["cycle"]["overruns"] - overruns
-
-
-def test_watchers_cost_little_and_disturb_no_scan(tmp_path: Path) -> None:
-    rng, counts = np.random.default_rng(1), (0, 1, 5)
-    with services(tmp_path) as rig:
-        taken = [  # each round has every number of watchers, in random order
-            {int(count): window(rig, int(count)) for count in rng.permutation(counts)} for _ in range(ROUNDS)
-        ]
-    print()
-    for count in counts:
-        shares, late = np.transpose([each[count] for each in taken])
-        print(f"{count} watchers: {np.mean(shares):.1f} % of a core (± {np.std(shares):.1f}), "
-              f"{np.mean(late):.2f} overruns in {WINDOW_S:.0f} s")  # fmt: skip
-    one = np.mean([each[1][0] - each[0][0] for each in taken])
-    more, half = mean_and_half_width([each[5][1] - each[0][1] for each in taken])
-    print(f"a watcher: {one:.1f} % of a core; five: {more:+.2f} ± {half:.2f} overruns (95 %, paired)")
-    assert one <= WATCHER_PERCENT
-    assert more - half <= 0.0
 
 
 def moving(rig: Running, number: int) -> None:

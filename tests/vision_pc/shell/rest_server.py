@@ -4,10 +4,8 @@ import asyncio
 import contextlib
 import socket
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-
-from fastapi import FastAPI
 
 from foundation.rest.files import Home
 from foundation.rest.server import RestServer, serve_in_thread
@@ -26,16 +24,13 @@ def rest_face() -> Iterator[str]:
 @contextlib.contextmanager
 def served_bench(
     enabled: bool = True,
-    add: Callable[[FastAPI], None] = lambda app: None,
     tokens: Mapping[Role, bytes] = MappingProxyType({}),
     link_timeout_ms: int = 30_000,
     emulator_face: str = "",
     port: int = 0,
     tries_valves: bool = False,
 ) -> Iterator[tuple[str, Bench]]:
-    """Its URL, and what it works on; ``add`` adds routes of the test's own; ``tokens``: who is asked;
-    ``port``: 0 for any.
-    """
+    """Its URL, and what it works on; ``tokens``: who is asked; ``port``: 0 for any."""
     listening = socket.create_server(("127.0.0.1", port), backlog=512)
     started, leave = threading.Event(), threading.Event()
     benches: list[Bench] = []
@@ -47,7 +42,6 @@ def served_bench(
                 await made.post("/enable")
             home = Home(asyncio.get_running_loop())
             app = create_app(made.station, made.operations, home=home, emulator_face=emulator_face)
-            add(app)
             server = RestServer(app, Access((), tokens, frozenset(STOPS), PUBLIC), made.station.log)
             task = asyncio.create_task(serve_in_thread(server, listening))
             benches.append(made)
