@@ -3,7 +3,6 @@
 import json
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from typer.testing import CliRunner
@@ -11,13 +10,9 @@ from typer.testing import CliRunner
 from conformance.case import CaseOutcome, CaseRegister, Summary
 from conformance.command import app
 from conformance.parts import OptionalPart
-from conformance.records import write_records
 from conformance.runner import reference_cases, run_reference
 from protocol.authentication import LinkKey
-from protocol.errors import ConfigurationError
-from protocol.reference_messages import CAPABILITY_PATHS
-from protocol.server_session import ReferenceServer
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.mutator import KEY, KeyedController, edited
 from tests.support.paths import DOCS
 
@@ -74,57 +69,6 @@ def test_every_clause_of_the_link_is_asked_for_or_it_is_said_why_not() -> None:
     assert of_the_link - set(NOT_ASKED) <= asked
 
 
-@simulated
-def test_motion_is_unsupported_unless_it_is_allowed() -> None:
-    with ControllerUnderTest() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521])
-    assert [result.outcome for result in summary.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED]
-    assert summary.passed
-
-
-@simulated
-def test_a_controller_that_cannot_be_enabled_is_unsupported_and_not_failed() -> None:
-    with ControllerUnderTest() as controller:
-        controller.bench.status = 0
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521], motion=True)
-    assert [result.outcome for result in summary.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED]
-
-
-@simulated
-def test_a_controller_that_does_not_stream_is_unsupported_and_not_failed() -> None:
-    class Streamless(ControllerUnderTest):
-        def make_server(self) -> ReferenceServer:
-            return ReferenceServer(
-                77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, capabilities=CAPABILITY_PATHS
-            )
-
-    numbers = [CONTROL, 541, 543, 544, *range(546, 552), *range(553, 557), *range(572, 590), 816, 817, 819]
-    with Streamless() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
-    unsupported = [CaseOutcome.UNSUPPORTED] * (len(numbers) - 1)
-    assert [r.outcome for r in summary.results] == [CaseOutcome.PASS, *unsupported]
-
-
-@simulated
-def test_records_tell_the_same_story(tmp_path: Path) -> None:
-    with ControllerUnderTest() as controller:
-        controller.bench.status = 0
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 123, 521], motion=True)
-    write_records(summary, tmp_path)
-    data = json.loads((tmp_path / "results.json").read_text())
-    assert data["counts"] == {"pass": 2, "flaky": 0, "fail": 0, "unsupported": 1}
-    assert [case["number"] for case in data["cases"]] == [CONTROL, 123, 521]
-    suite = ElementTree.parse(tmp_path / "junit.xml").getroot()
-    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("3", "0", "1")
-    assert suite.findall("testcase/skipped")[0].get("message")
-    text = (tmp_path / "transcripts" / "101.txt").read_text()
-    assert "Hello" in text
-    assert "Acknowledgement" in text
-    sent = re.findall(r"→ (\d+) bytes", text)
-    assert sent[0] == "72"
-    assert "4c524c4b0100" in text
-
-
 def test_a_number_is_given_once() -> None:
     register = CaseRegister[None](OptionalPart.MOTION)
     register.case(1, "1.1", "one")(lambda peer: None)
@@ -149,15 +93,6 @@ def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> 
     assert "0 pass, 0 flaky, 1 fail, 0 unsupported" in bad.output
     transcripts = {path.name for path in (tmp_path / "out" / "transcripts").iterdir()}
     assert transcripts == {"102.txt", "102.first.txt"}
-
-
-def test_the_command_lists_cases_and_refuses_unknown_ones() -> None:
-    runner = CliRunner()
-    listed = runner.invoke(app, ["reference", "--list"])
-    assert listed.exit_code == 0
-    assert "COMMAND with any single bit flipped" in listed.output.replace("\n", " ")
-    unknown = runner.invoke(app, ["reference", "--case", "999"])
-    assert isinstance(unknown.exception, ConfigurationError)
 
 
 def asked_of_a_sound_one(numbers: set[int]) -> None:

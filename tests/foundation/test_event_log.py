@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from foundation.event_log import MEMBERS, EventLog, in_words, process_log
-from protocol.errors import ConfigurationError, LinkLost
+from protocol.errors import LinkLost
 from tests.support.log_lines import HeardLog, assert_obeys
 
 
@@ -115,15 +115,6 @@ def test_a_full_disk_ends_the_recording_once_and_not_the_log(tmp_path: Path) -> 
     assert lines[1]["cause"] == "recording.unwritable"
     for line in lines:
         assert_obeys(line, "vision_pc")
-
-
-def test_an_unwritable_directory_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    log = EventLog("vision_pc", io.StringIO())
-    with pytest.raises(ConfigurationError, match="--record-dir") as refused:
-        log.record_in(tmp_path / "file" / "below")
-    log.close()
-    assert refused.value.cause == "configuration.record_dir_unwritable"
 
 
 def test_what_libraries_log_obeys_the_schema(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from foundation.self_watch import StatisticsFile, resident_mb
-from protocol.errors import ConfigurationError
 from tests.support.log_lines import HeardLog
 
 
@@ -88,14 +87,6 @@ def test_a_disk_that_fails_later_is_logged_and_leaves_the_old_file(log: HeardLog
     assert (line["event"], line["level"], line["cause"]) == (
         "statistics_failed", "error", "statistics.unwritable"
     )  # fmt: skip
-
-
-def test_a_directory_that_cannot_be_written_is_refused_at_once(log: HeardLog, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigurationError, match="--statistics") as refused:
-        StatisticsFile(tmp_path / "file" / "statistics.json", "controller", log, dict)
-    log.close()
-    assert refused.value.cause == "configuration.statistics_unwritable"
 
 
 def test_resident_memory_of_this_process_of_another_and_of_one_that_has_gone() -> None:

@@ -7,15 +7,12 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-import pytest
-from mcap.reader import make_reader
 
-from foundation.recording.decoding import RecordingUnreadable
 from plant_emulator.core.faults.kinds import SupplyLost, ValveSlow
 from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.recording import FaultRecord, read_truth
-from plant_emulator.shell.truth_recorder import CAPTURE, EVENT, FAULT, LOG, TRUTH, TruthRecorder
+from plant_emulator.shell.truth_recorder import TruthRecorder
 
 RUN = {"plant": {"step_ms": 0.5}, "scene": {"seed": 7}}
 
@@ -102,21 +99,6 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert recording.log_ns()[-1] == 1049
 
 
-def test_another_reader_finds_the_topics(tmp_path: Path) -> None:
-    """The library's own indexed reader, as Foxglove and PlotJuggler use: schemas, topics and times."""
-    write(tmp_path / "truth.mcap").close()
-    with (tmp_path / "truth.mcap").open("rb") as stream:
-        reader = make_reader(stream)
-        counts: dict[str, int] = {}
-        for schema, channel, message in reader.iter_messages():
-            assert schema is not None
-            assert schema.encoding == "protobuf"
-            assert channel.message_encoding == "protobuf"
-            assert message.log_time >= 1000
-            counts[channel.topic] = counts.get(channel.topic, 0) + 1
-    assert counts == {TRUTH: 40, CAPTURE: 10, FAULT: 5, EVENT: 1, LOG: 6}
-
-
 def eventually(said: Callable[[], bool]) -> None:
     """Return once ``said`` is true. Fails after 30 s."""
     limit = time.monotonic() + 30.0
@@ -135,34 +117,6 @@ def test_a_recording_that_is_still_written_can_be_read(tmp_path: Path) -> None:
         eventually(lambda: len(read_truth(path).events) == 1)
         assert not read_truth(path).complete
     assert read_truth(path).complete
-
-
-def test_a_file_cut_anywhere_gives_a_prefix(tmp_path: Path) -> None:
-    with closing(TruthRecorder(tmp_path / "truth.mcap", RUN)) as recorder:
-        for number in range(12):
-            recorder.truth(truth(number), number * 200_000_000)
-    whole = (tmp_path / "truth.mcap").read_bytes()
-    lengths = []
-    for cut in (*range(8, 64), *range(64, len(whole), 173)):
-        (tmp_path / "cut.mcap").write_bytes(whole[:cut])
-        recording = read_truth(tmp_path / "cut.mcap")
-        assert not recording.complete
-        assert all(same(record.truth, truth(number)) for number, record in enumerate(recording.truths))
-        lengths.append(len(recording.truths))
-    assert lengths == sorted(lengths)
-    assert (lengths[0], lengths[-1]) == (0, 12)
-
-
-def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
-    write(tmp_path / "truth.mcap").close()
-    with pytest.raises(FileExistsError):
-        TruthRecorder(tmp_path / "truth.mcap", RUN)
-
-
-def test_what_is_not_a_recording_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "other").write_bytes(b"not an MCAP file at all")
-    with pytest.raises(RecordingUnreadable):
-        read_truth(tmp_path / "other")
 
 
 def test_a_full_disk_ends_the_recording_and_says_so(tmp_path: Path) -> None:

@@ -134,18 +134,6 @@ def test_drakes_arm_falls_as_the_stiff_plant_does(folder: Path, settings: Settin
         np.testing.assert_allclose(read, own[driven], rtol=1e-8, atol=1e-7)
 
 
-def test_drake_knows_every_shape(folder: Path) -> None:
-    pytest.importorskip("pydrake", reason="Drake is absent: make peers")
-    from pydrake.geometry import Role
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-    from pydrake.systems.framework import DiagramBuilder
-
-    plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
-    Parser(plant).AddModels(folder / "arm.urdf")
-    assert scene.model_inspector().NumGeometriesWithRole(Role.kProximity) == SHAPES
-
-
 def test_drakes_boom_bears_by_the_lines_of_the_page_as_mujocos_does(folder: Path) -> None:
     file = folder / "true"
     plant, limp = drake_plant(page_lines(), file), drake_plant(NOMINAL, file.with_suffix(".urdf"))
