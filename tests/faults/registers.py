@@ -91,11 +91,6 @@ class Registers:
         self.plant.advance(duration_ns)
         self.spools.append(Spools(self.plant.time_ns, self.plant.truth().spools))
 
-    def output_words(self) -> list[int]:
-        """The output registers, as another master reads them."""
-        answer = self.coupler.answer("onlooker", 1, struct.pack(">BHH", 3, OUTPUT_ADDRESS, OUTPUT_WORDS))
-        return list(struct.unpack(f">{OUTPUT_WORDS}H", answer[2:]))
-
     def _words(self) -> list[int]:
         return encode_sensors(self.sensors(self.plant.read()))
 
