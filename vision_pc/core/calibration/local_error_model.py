@@ -34,8 +34,8 @@ _ROTATION = slice(0, 3)
 _SCALE = 3
 _STRAIN = slice(4, 13)
 _OFFSET = slice(13, 16)
-_BACKLASH = 16
-_COLUMNS = 17
+_BACKLASH = _OFFSET.stop
+_COLUMNS = _BACKLASH + 1
 
 
 class LocalTrack(NamedTuple):
