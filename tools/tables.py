@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from controller.config import ControllerConfig
 from controller.core.inbox import WAITING
+from controller.core.trajectories.path_survey import JOINT_MARGIN_DEG
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
@@ -106,7 +107,7 @@ def motion_limits() -> str:
          f"`dwell_s`: 0…{longest}; the whole: at most {longest}"),
         ("TOO_FAR", f"the first pose within {motion.first_point_distance_m:g} m of the commanded one"),
         ("OUTSIDE_WORKSPACE", f"T in B: {box}; at least {space.radius_min_m:g} m from the slew axis"),
-        ("JOINT_LIMIT", f"the joints' ranges of arm.yaml, less {motion.joint_margin_deg:g}°"),
+        ("JOINT_LIMIT", f"the joints' ranges of arm.yaml, less {JOINT_MARGIN_DEG:g}°"),
         ("SINGULAR", "least singular value of the Jacobian at a waypoint: at least "
          f"{motion.singular_value_min:g}"),
         ("TOO_FAST", f"{motion.speed_m_s:g} m/s, {motion.acceleration_m_s2:g} m/s², "

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from controller.config import ControllerConfig
+from controller.config import PARKING_BAND_MOST_MRAD, ControllerConfig
 from controller.core.kinematics.rotations import Array
 from controller.core.parking.joint import ParkingLaw
 from controller.core.servo.joint_control import JointGains, LoadHolding
@@ -19,6 +19,15 @@ _CARRIED = 0.4  # [D] gain times lateness that a joint's loop bears: 23° of its
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3  # [E]
 _SETTLED = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
+_DAMPING_MAX = 0.05  # [D] bounds joint speeds to 10 times the tool's next to a singularity
+# Singular value; exactly no damping above it: wrist 2 further than 4.5° from stretched.
+_DAMPING_ONSET = 0.05  # [D]
+_LOWERED_MRAD_S = 10.0  # [D] pilots are damped from this speed on; at rest nothing is lowered
+_BAND_LEAST_MRAD = 0.03  # [D] 0.6 of an encoder digit: the mean of half a second tells a tenth
+_SLOWEST_MRAD_S = 0.4  # [D] 8 digits a second: about the speed that a valve's edge is known to
+_FASTEST_MRAD_S = 10.0  # [D] 40 mm/s at 4 m
+_PATIENCE_MS = 6000.0  # [D] with valves that are known the joint law arrives sooner on the default arm [M]
+_QUIET_MM = 0.1  # [D] of the tool, by each joint: parked is what has moved no further for 10 s
 _HOLDS_NONE = LoadHolding(np.zeros(6), 1.0, 1.0, 1.0, np.ones(6))
 
 
@@ -38,8 +47,8 @@ def _servo_gains(config: ControllerConfig) -> ServoGains:
         position=servo.position_gain_1_s,
         orientation=servo.orientation_gain_1_s,
         dead_zone=servo.dead_zone_mrad * _MRAD,
-        damping_onset=servo.damping_onset,
-        damping_max=servo.damping_max,
+        damping_onset=_DAMPING_ONSET,
+        damping_max=_DAMPING_MAX,
     )
 
 
@@ -71,7 +80,7 @@ def _load_holding(arm: NominalArm, config: ControllerConfig) -> LoadHolding:
     return LoadHolding(
         damping=damping if config.valves.pressure_compensated else np.zeros(6),
         high_pass=holding.pilot_high_pass_ms * _MS,
-        slowest=holding.slowest_mrad_s * _MRAD,
+        slowest=_LOWERED_MRAD_S * _MRAD,
         setting=holding.setting_bar,
         lifted=holding.pilot_ratio / drive_table(arm.drives)[:, RATIO],
     )
@@ -110,16 +119,16 @@ def _parking_law(config: ControllerConfig) -> ParkingLaw:
     gain, late = _joint_gains(config).gain, _lateness(config)
     return ParkingLaw(
         band=parking.band_mm * _MM,
-        band_least=parking.band_least_mrad * _MRAD,
-        band_most=parking.band_most_mrad * _MRAD,
-        slowest=parking.slowest_mrad_s * _MRAD,
-        fastest=parking.fastest_mrad_s * _MRAD,
-        patience=parking.patience_ms * _MS,
+        band_least=_BAND_LEAST_MRAD * _MRAD,
+        band_most=PARKING_BAND_MOST_MRAD * _MRAD,
+        slowest=_SLOWEST_MRAD_S * _MRAD,
+        fastest=_FASTEST_MRAD_S * _MRAD,
+        patience=_PATIENCE_MS * _MS,
         calm_travel=parking.calm_mm * _MM,
         calm=parking.calm_ms * _MS,
         settled=_SETTLED * config.settled.tolerance_mrad * _MRAD,
         give_up=parking.stays_ms * _MS,
-        quiet=parking.quiet_mm * _MM,
+        quiet=_QUIET_MM * _MM,
         deadband=_edges(config.valves, "deadband") + half,
         spread=np.hypot(std, half_std),
         latest=late + _BREAKS_AWAY / gain,

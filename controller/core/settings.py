@@ -15,13 +15,15 @@ from controller.core.servo.servo_step import ServoConstants
 from controller.core.servo_settings import parking_law, servo_constants, surely_open
 from controller.core.trajectories.approach import AxisLimits
 from controller.core.trajectories.motion import StopLimits
-from controller.core.trajectories.path_survey import PlanningLimits
+from controller.core.trajectories.path_survey import JOINT_MARGIN_DEG, PlanningLimits
 from controller.core.trajectories.workspace import WorkspaceBounds, widened
 from nominal_arm.description import NominalArm
 
 _MS = 1e-3
 _MRAD = 1e-3
 _MM = 1e-3
+_SUPPLY_LOW_MS = 200.0  # [D] two axes at full flow may sag it for a moment
+_VALVES_ENABLE_MS = 250.0  # [D]
 _EXCHANGES_AT_MS = 5.0  # [D] limits that count exchanges hold from this cycle on
 
 
@@ -125,7 +127,7 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     table, space = dh_table(arm.dh), arm.workspace
     workspace = WorkspaceBounds(np.array([space.x_m, space.y_m, space.z_m]), space.radius_min_m)
     joint_range = np.radians([[j.lower_deg for j in arm.joints], [j.upper_deg for j in arm.joints]])
-    margin = math.radians(motion.joint_margin_deg)
+    margin = math.radians(JOINT_MARGIN_DEG)
     return ScanSettings(
         cycle_s=config.cycle_ms * _MS,
         table=table,
@@ -203,8 +205,8 @@ def _supervision_limits(
         overspeed=watch.overspeed_m_s,
         overspeed_time=watch.overspeed_ms * _MS,
         supply_min_bar=watch.supply_min_bar,
-        supply_low=watch.supply_low_ms * _MS,
-        valves_enable=watch.valves_enable_ms * _MS,
+        supply_low=_SUPPLY_LOW_MS * _MS,
+        valves_enable=_VALVES_ENABLE_MS * _MS,
         overtravel_range=joint_range + np.array([[-over], [over]]),
         workspace=widened(workspace, watch.workspace_margin_m),
     )

@@ -13,6 +13,9 @@ LITRE = 1e-3  # m³
 LITRE_PER_MINUTE = 1e-3 / 60.0  # m³/s
 RUNGE_KUTTA_REACH = 2.78  # h |λ| beyond which classical RK4 diverges on a decaying mode
 
+RELIEF_OVERRIDE_BAR = 10.0  # [E] a relief valve passes the rated flow at this much above its setting
+# An anti-cavitation valve passes the rated flow at this much below the return pressure.
+ANTICAVITATION_DROP_BAR = 5.0  # [E]
 
 HOTTEST_DEGC = 110.0
 MOST_SOFTENING = 0.8  # of the bulk modulus, up to the hottest oil
@@ -22,16 +25,13 @@ class ProtectionConfig(StrictModel):
     """Relief and anti-cavitation at every chamber, passing the valve's rated flow at the difference."""
 
     relief_bar: Positive
-    relief_override_bar: Positive
     anticavitation: bool
-    anticavitation_drop_bar: Positive
 
 
 class OilConfig(StrictModel):
     bulk_modulus_mpa: Annotated[float, Field(ge=50.0, le=3000.0)]
     wall_compliance_m3_pa: Annotated[float, Field(ge=0.0, le=1e-10)]
     air_fraction: Annotated[float, Field(ge=0.0, le=0.1)]
-    polytropic_exponent: Annotated[float, Field(ge=1.0, le=1.7)]
     thermal_drift: bool
     temperature_degc: Annotated[float, Field(ge=-30.0, le=HOTTEST_DEGC)]
     ambient_degc: Annotated[float, Field(ge=-50.0, le=60.0)]

@@ -8,9 +8,11 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from foundation.configuration import StrictModel, merged
 from plant_emulator.config.actuators import (
+    ANTICAVITATION_DROP_BAR,
     BAR,
     LITRE,
     LITRE_PER_MINUTE,
+    RELIEF_OVERRIDE_BAR,
     RUNGE_KUTTA_REACH,
     ActuatorConfig,
     ActuatorsConfig,
@@ -74,13 +76,13 @@ def _of_actuator(circuit: StiffParts, name: JointName, actuator: ActuatorConfig)
     soft, modulus = math.sqrt(valves.regularisation_bar * BAR), oil.bulk_modulus_mpa * 1e6
     flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
     gains = _edge_gains(valves, name, actuator)
-    check = flow / math.sqrt(guard.anticavitation_drop_bar * BAR) if guard.anticavitation else 0.0
+    check = flow / math.sqrt(ANTICAVITATION_DROP_BAR * BAR) if guard.anticavitation else 0.0
     for key, supply, back in (("dead_volume_a_l", 0, 3), ("dead_volume_b_l", 2, 1)):
         volume = getattr(actuator, key) * LITRE
         rate = modulus * (max(gains[supply], gains[back]) + check) / (volume * soft)
         yield StepLimit(RUNGE_KUTTA_REACH / rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}")
-        rate = modulus * flow / (guard.relief_override_bar * BAR) / volume
-        yield StepLimit(RUNGE_KUTTA_REACH / rate, f"protection.relief_override_bar at actuators.{name}")
+        rate = modulus * flow / (RELIEF_OVERRIDE_BAR * BAR) / volume
+        yield StepLimit(RUNGE_KUTTA_REACH / rate, f"the relief valves of actuators.{name}")
     hold = valves.counterbalance
     if (name == "lift" and hold.lift) or (name == "tilt" and hold.tilt):
         slope = 2.0 * gains[3] * math.sqrt(guard.relief_bar * BAR) * hold.pilot_ratio / (hold.range_bar * BAR)

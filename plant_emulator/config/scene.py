@@ -63,14 +63,11 @@ class ToolMarkerConfig(MarkerConfig):
     """The tool marker: nominal X_TM has R = diag(1, -1, -1); ``offset_m`` and ``misalignment_deg`` are what
     is wrong with it.
 
-    ``misalignment_deg`` is a rotation vector in M's own axes. The bracket is a plain plate below the marker.
+    ``misalignment_deg`` is a rotation vector in M's own axes.
     """
 
     offset_m: Vector3 = (0.0, 0.0, 0.0)
     misalignment_deg: Angles = (0.0, 0.0, 0.0)
-    bracket_width_m: float = Field(default=0.05, ge=0.0, le=0.3)
-    bracket_length_m: float = Field(default=0.35, ge=0.0, le=1.0)
-    bracket_grey: float = Field(default=70.0, ge=0.0, le=255.0)
 
 
 class ObjectConfig(StrictModel):

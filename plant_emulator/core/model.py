@@ -6,7 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.actuators import BAR, LITRE, LITRE_PER_MINUTE, ActuatorConfig
+from plant_emulator.config.actuators import (
+    ANTICAVITATION_DROP_BAR,
+    BAR,
+    LITRE,
+    LITRE_PER_MINUTE,
+    RELIEF_OVERRIDE_BAR,
+    ActuatorConfig,
+)
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES, Valve, ValvesConfig
 from plant_emulator.core import layout as col
@@ -19,6 +26,7 @@ from plant_emulator.core.mechanics.multibody import Mechanism
 
 Array = NDArray[np.float64]
 
+_POLYTROPIC_EXPONENT = 1.2  # [E] of entrained air
 RETURN_A = col.EDGES.index("return_a")
 
 
@@ -97,9 +105,9 @@ def build_actuators(config: PlantConfig) -> Array:
             row[[col.A_COULOMB, col.A_STATIC, col.A_BRISTLE_DAMPING, col.A_VISCOUS]] = 0.0
         if not errors.valve_deadband.enabled:
             row[col.A_DEADBAND : col.A_DEADBAND + len(col.EDGES)] = 0.0
-        row[col.A_RELIEF] = flow / (guard.relief_override_bar * BAR)
+        row[col.A_RELIEF] = flow / (RELIEF_OVERRIDE_BAR * BAR)
         if guard.anticavitation:
-            row[col.A_ANTICAVITATION] = orifice_gain(flow, guard.anticavitation_drop_bar * BAR)
+            row[col.A_ANTICAVITATION] = orifice_gain(flow, ANTICAVITATION_DROP_BAR * BAR)
     if errors.finer_bending.enabled:
         table[1:3, col.A_STOP_DAMPING] *= errors.finer_bending.stop_damping_share
     hold = valves.counterbalance
@@ -114,7 +122,7 @@ def build_circuit(config: PlantConfig) -> Array:
     most, capacity = pump.flow_limit_l_min * LITRE_PER_MINUTE, oil.heat_capacity_kj_k * 1e3
     c = np.zeros(col.C_COLUMNS)
     c[col.C_MODULUS], c[col.C_WALL] = oil.bulk_modulus_mpa * 1e6, oil.wall_compliance_m3_pa
-    c[col.C_AIR], c[col.C_EXPONENT] = oil.air_fraction, oil.polytropic_exponent
+    c[col.C_AIR], c[col.C_EXPONENT] = oil.air_fraction, _POLYTROPIC_EXPONENT
     c[col.C_REFERENCE], c[col.C_AMBIENT] = oil.reference_degc, oil.ambient_degc
     c[col.C_VISCOSITY_DRIFT], c[col.C_MODULUS_DRIFT] = oil.viscosity_per_k, oil.modulus_per_k
     c[col.C_COOLING] = oil.cooling_w_k / capacity

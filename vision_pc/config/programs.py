@@ -7,20 +7,19 @@ from pydantic import Field
 
 from foundation.configuration import StrictModel
 
+# Relative: a hole whose diameter is so near to what is asked for counts.
+_DIAMETER_TOLERANCE = 0.15  # [M] at 2 m a hole of 45 mm is measured as 43.5 ± 0.5 mm
+
 
 class TargetSettings(StrictModel):
-    """Where targets are looked for, and how wide drill holes are.
-
-    A hole counts when its diameter is within ``diameter_tolerance`` of ``diameter_mm``.
-    """
+    """How wide drill holes are."""
 
     diameter_mm: float = Field(45.0, gt=5.0, le=500.0)
-    diameter_tolerance: float = Field(0.15, gt=0.0, le=0.5)
 
     def diameters_m(self, diameter_mm: float | None) -> tuple[float, float]:
         """The least and the greatest diameter of a hole of ``diameter_mm`` (None: as configured)."""
         wanted = 1e-3 * (self.diameter_mm if diameter_mm is None else diameter_mm)
-        return wanted * (1.0 - self.diameter_tolerance), wanted * (1.0 + self.diameter_tolerance)
+        return wanted * (1.0 - _DIAMETER_TOLERANCE), wanted * (1.0 + _DIAMETER_TOLERANCE)
 
 
 Length = Annotated[float, Field(ge=0.01, le=1.5)]
@@ -118,10 +117,10 @@ class LocalErrorModelSettings(StrictModel):
 
     Priors of the model: ``rotation_std`` (rad), ``strain_std`` (relative), ``play_std`` (rad).
     ``noise_std_m`` of one sample at rest, ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal
-    known worse is refused before moving. ``first_share`` of a way longer than ``near_m`` is driven before
-    the first correction. ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that
-    odometry measures. ``servo_std_m``: what the joints leave of a motion. ``leg_end_std_m``: what else
-    than backlash shaped each end of a leg, of a motion that nothing corrects.
+    known worse is refused before moving. A way longer than ``near_m`` is not driven at once.
+    ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures.
+    ``servo_std_m``: what the joints leave of a motion. ``leg_end_std_m``: what else than backlash shaped each
+    end of a leg, of a motion that nothing corrects.
     """
 
     leg_m: float = Field(ge=0.05, le=0.5)
@@ -138,9 +137,7 @@ class LocalErrorModelSettings(StrictModel):
     servo_std_m: float = Field(gt=0.0, le=0.05)
     leg_end_std_m: float = Field(ge=0.0, le=0.05)
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
-    first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)
-    minimum_samples: int = Field(ge=8, le=10_000)
 
 
 class PositioningSettings(StrictModel):
@@ -175,20 +172,16 @@ class VisualServoingSettings(StrictModel):
 
     ``gain``: share of a picture's news that the target takes, farther than ``near_m`` from the object;
     ``pull_gain``: share of the remaining error that it takes whenever the tool rests. Either is ``step_m`` at
-    most; a rest leaves the target within ``pull_m`` of where the pictures see the object. With no sight for
-    ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error neither spread nor changed, and the
-    encoders are within ``servo_gap_m`` of what is commanded; settled: its mean is also inside ``settle_m`` in
-    x and y. Every rest outside widens ``settle_m`` by the share ``settle_growth`` of it.
+    most. At rest: over ``settle_pictures`` the error neither spread nor changed, and the encoders are within
+    ``servo_gap_m`` of what is commanded; settled: its mean is also inside ``settle_m`` in x and y. Every rest
+    outside widens ``settle_m`` by the share ``settle_growth`` of it.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
     pull_gain: float = Field(ge=0.0, le=1.0)
     step_m: float = Field(gt=0.0, le=0.5)
     near_m: float = Field(ge=0.0, le=0.2)
-    pull_m: float = Field(ge=0.0, le=0.05)
     lead_m: float = Field(gt=0.0, le=0.4)
-    lost_s: float = Field(ge=0.1, le=5.0)
-    frozen_pictures: int = Field(ge=2, le=100)
     settle_m: float = Field(gt=0.0, le=0.05)
     settle_growth: float = Field(ge=0.0, le=1.0)
     servo_gap_m: float = Field(gt=0.0, le=0.1)

@@ -81,7 +81,6 @@ class MarkerSettings(StrictModel):
     ]  # fmt: skip
     tool: ToolMarkerSettings
     object: tuple[ObjectMarkerSettings, ...] = Field(min_length=1)
-    threshold_window_px: int = Field(ge=3, le=101)
     region_margin_px: int = Field(ge=10, le=500)
     finds_edge_shift: bool
     corner_std_px: float = Field(gt=0.0, le=2.0)
@@ -128,14 +127,12 @@ class LookSettings(StrictModel):
 class OdometrySettings(StrictModel):
     """Stereo odometry against a persistent keyframe map.
 
-    Where ``second_motion_share`` of the points agree on another motion than the rest, arm or motion before
-    must tell which is the camera's, or the frame is lost; 0: not asked. What is known of the camera: depths
-    are weighed as if disparities were never better than ``depth_floor_px``; ``disparity_std_px``: of an
-    offset that all disparities share, 0: it is known. ``lever_m``: from the arm's tool to the camera.
+    What is known of the camera: depths are weighed as if disparities were never better than
+    ``depth_floor_px``; ``disparity_std_px``: of an offset that all disparities share, 0: it is known.
+    ``lever_m``: from the arm's tool to the camera.
     """
 
     features: int = Field(ge=30, le=5000)
-    second_motion_share: float = Field(ge=0.0, le=0.5)
     least_disparity_px: float = Field(gt=0.0, le=20.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
     disparity_std_px: float = Field(ge=0.0, le=5.0)
@@ -148,18 +145,16 @@ class OdometrySettings(StrictModel):
 class PoseFeedSettings(StrictModel):
     """Camera poses of somebody else's SLAM, by UDP, in place of our odometry where ``source`` is ``udp``.
 
-    ``wait_ms``: for the pose of a pair that is there already. Two poses are no further apart than ``gap_ms``,
-    and no faster than ``speed_m_s`` and ``turn_rad_s``; the way is the arm's to ``scale_error``. ``std_mm``
-    and ``std_mrad``: how well a pose is believed.
+    ``wait_ms``: for the pose of a pair that is there already. Between two poses the camera is no faster than
+    ``speed_m_s``; the way is the arm's to ``scale_error``. ``std_mm`` and ``std_mrad``: how well a pose is
+    believed.
     """
 
     source: Literal["own", "udp"] = "own"
     host: str = "127.0.0.1"
     port: int = Field(47200, ge=0, le=65_535)
     wait_ms: float = Field(300.0, ge=0.0, le=5_000.0)
-    gap_ms: float = Field(250.0, ge=1.0, le=5_000.0)
     speed_m_s: float = Field(2.0, gt=0.0, le=50.0)
-    turn_rad_s: float = Field(1.5, gt=0.0, le=50.0)
     scale_error: float = Field(0.08, gt=0.0, le=1.0)
     std_mm: float = Field(2.0, gt=0.0, le=1_000.0)
     std_mrad: float = Field(2.0, gt=0.0, le=1_000.0)
@@ -238,13 +233,11 @@ class RecordingSettings(StrictModel):
     """What ``vision.mcap`` of --record-dir holds of pictures.
 
     ``none``: their checksums alone, by which pictures rendered again from the plant's recording are proved
-    the same; ``jpeg``: also the left eye's, ``jpeg_hz`` times a second at most, for people; ``raw``: every
-    pixel of both eyes.
+    the same; ``jpeg``: also the left eye's, once a second at most, for people; ``raw``: every pixel of both
+    eyes.
     """
 
     images: Literal["none", "jpeg", "raw"] = "none"
-    jpeg_quality: int = Field(85, ge=1, le=100)
-    jpeg_hz: float = Field(1.0, gt=0.0, le=240.0)
 
 
 class VisionConfig(StrictModel):

@@ -7,9 +7,16 @@ import numpy as np
 
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import Array
+from controller.core.trajectories.path_survey import JOINT_MARGIN_DEG
 from nominal_arm.description import NominalArm
 
 N_JOINTS = 6
+_TRAVEL_DEG = (3.0, 3.0, 3.0, 5.0, 5.0, 5.0)  # [D] 0.2 m at the tool at 4 m
+_TOP_SPEED_DEG_S = (2.5, 2.5, 2.5, 6.0, 6.0, 6.0)  # [D] a fifth of what is commanded in work
+_RAMP_RATE_1_S = 0.01  # [D] slow against valve and oil, quick enough for 15 minutes in all
+# Ramps begin this far below where the valve was seen to open, the first one three times as far.
+_START_BELOW = 0.01  # [D]
+_OTHERS_MRAD = 30.0  # [D] closed valves leak: with an empty tool the wrist sinks by 0.3 mrad/s [M]
 
 
 class StrokeKind(IntEnum):
@@ -94,26 +101,26 @@ def excitation_plan(arm: NominalArm, config: ControllerConfig) -> ExcitationPlan
     chosen = config.excitation
     if not chosen.enabled:
         return None
-    top_speed = np.radians(chosen.top_speed_deg_s)
-    margin = config.motion.joint_margin_deg
+    top_speed = np.radians(_TOP_SPEED_DEG_S)
+    margin = JOINT_MARGIN_DEG
     limits = ExcitationLimits(
-        travel=np.radians(chosen.travel_deg),
+        travel=np.radians(_TRAVEL_DEG),
         top_speed=top_speed,
         speed_limit=np.radians([joint.speed_deg_s for joint in arm.joints]),
         joint_range=np.radians(
             [[j.lower_deg + margin for j in arm.joints], [j.upper_deg - margin for j in arm.joints]]
         ),
         search_rate=chosen.search_rate_1_s,
-        ramp_rate=chosen.ramp_rate_1_s,
+        ramp_rate=_RAMP_RATE_1_S,
         spool_max=chosen.spool_max,
         moved=chosen.moved_mrad * 1e-3,
-        start_below=chosen.start_below,
+        start_below=_START_BELOW,
         rest_s=chosen.rest_ms * 1e-3,
         patience_s=chosen.patience_s,
         step_s=chosen.step_s,
         stroke_s=chosen.stroke_s,
         pressure_bar=chosen.pressure_bar,
-        others=chosen.others_mrad * 1e-3,
+        others=_OTHERS_MRAD * 1e-3,
     )
     return ExcitationPlan(limits, strokes_of(chosen.joints, top_speed, chosen.ramps))
 

@@ -27,6 +27,7 @@ from protocol.faults import Reason
 SAMPLES = (
     24  # a multiple of 2: the peak speed of a quintic is at its middle; peak acceleration is met to 0.1 %
 )
+JOINT_MARGIN_DEG = 0.5  # [D] of joint ranges that nothing planned uses
 # Between two samples of a smooth joint path no joint turns this far; a wrist that flips does.
 _FLIP_RAD = 0.6  # [D]
 # Sines of wrist 2 from stretched: damped below the first, where the least singular value is 0.05; within the

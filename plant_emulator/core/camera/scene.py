@@ -37,6 +37,9 @@ Matrix = NDArray[np.float64]
 
 R_WO_FACING_ARM = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 R_TM_NOMINAL = np.diag([1.0, -1.0, -1.0])
+_BRACKET_WIDTH_M = 0.05  # [D] the plain plate that carries the tool's marker, below it
+_BRACKET_LENGTH_M = 0.35  # [D]
+_BRACKET_GREY = 70.0  # [D]
 _QUIET_CELLS = 1
 _DICTIONARY = cv2.aruco.DICT_5X5_1000
 _CELLS = 7  # five data cells and the black border on either side
@@ -233,9 +236,7 @@ class Scene:
 
     def _bracket(self) -> tuple[Plate, ...]:
         tool = self.config.tool_marker
-        if tool.bracket_width_m == 0.0 or tool.bracket_length_m == 0.0:
-            return ()
         top = printed_side(tool) / 2.0 + tool.quiet_zone_m
-        half = tool.bracket_width_m / 2.0
-        reach = (top, top + tool.bracket_length_m)
-        return (plain_plate(np.eye(4), (-half, half), reach, tool.bracket_grey),)
+        half = _BRACKET_WIDTH_M / 2.0
+        reach = (top, top + _BRACKET_LENGTH_M)
+        return (plain_plate(np.eye(4), (-half, half), reach, _BRACKET_GREY),)

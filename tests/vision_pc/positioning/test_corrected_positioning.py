@@ -187,5 +187,5 @@ def test_flat_and_short_tracks_are_refused(flat: float, count: int, cause: str) 
         for i, p in enumerate(points)
     ]
     with pytest.raises(MeasurementFailed) as refused:
-        refuse_poor_track(track_of(tuple(samples)), MAP)
+        refuse_poor_track(track_of(tuple(samples)))
     assert refused.value.cause == f"measurement.{cause}"

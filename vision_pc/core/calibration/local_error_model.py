@@ -26,6 +26,7 @@ _OFFSET_STD_M = 1.0  # of the offset: free
 _ROUNDS = 5  # of reweighting
 _SCALE_STD = 0.003  # [S] odometry's
 _REVERSAL_RAD = 1e-4  # [M] two counts of the encoder; the side at rest was so right in 13 of 13 runs
+_FEWEST_SAMPLES = 20  # [D]
 _RESIDUAL_M = 0.02  # [D] a larger misfit is refused
 _TAKEN_UP = np.array([-1.0])  # the side of the backlash after a positive turn of the slew
 
@@ -97,7 +98,7 @@ async def record_local_track(
     report(0.05, f"three legs of {settings.leg_m:g} m")
     waypoints = three_legs(X_BT, settings.leg_m)
     track = await watched_path(arm, eyes, waypoints, dimensions, settings, markers=True)
-    refuse_poor_track(track, settings)
+    refuse_poor_track(track)
     report(1.0, f"{len(track.X_BT)} samples")
     return track
 
@@ -164,12 +165,12 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
     )
 
 
-def refuse_poor_track(track: LocalTrack, settings: LocalErrorModelSettings) -> None:
+def refuse_poor_track(track: LocalTrack) -> None:
     """Raises MeasurementFailed (``measurement.too_few_samples``, ``.ill_conditioned``)."""
-    if len(track.X_BT) < settings.minimum_samples:
+    if len(track.X_BT) < _FEWEST_SAMPLES:
         raise MeasurementFailed(
             "measurement.too_few_samples",
-            f"local map: {len(track.X_BT)} samples, at least {settings.minimum_samples} are wanted",
+            f"local map: {len(track.X_BT)} samples, at least {_FEWEST_SAMPLES} are wanted",
         )
     spread = np.linalg.svd(track.X_BT[:, :3, 3] - track.X_BT[:, :3, 3].mean(axis=0), compute_uv=False)
     if spread[2] < 0.1 * spread[0]:

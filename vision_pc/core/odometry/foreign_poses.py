@@ -17,6 +17,8 @@ from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose, StereoPair
 
+_GAP_MS = 250.0  # [D] between two poses that may be interpolated
+_TURN_RAD_S = 1.5  # [D] between two poses: a jump is faster
 _STRAIGHT_RAD = 0.06  # [D] turned less than this, camera and tool go the same way to a few per cent
 _FAR_M = 0.15  # [D] of a way by which a scale is judged: encoders alone bend by centimetres in metres
 _FOREIGN_CLOCK_S = 5.0  # [D] from a pose's time to its arrival; another clock is hours away
@@ -82,7 +84,7 @@ class ForeignOdometry:
         if after == len(poses):
             return "feed_silent"
         gap_ns = poses[after].time_ns - poses[after - 1].time_ns if after else np.inf
-        if gap_ns > 1e6 * self._settings.gap_ms:
+        if gap_ns > 1e6 * _GAP_MS:
             return "feed_gap"
         fraction = (time_ns - poses[after - 1].time_ns) / gap_ns
         return se3.interpolate(poses[after - 1].X_WC, poses[after].X_WC, float(fraction))
@@ -100,9 +102,9 @@ class ForeignOdometry:
             seconds = max(1e-9 * (after.time_ns - before.time_ns), 1e-3)
             moved = se3.local(before.X_WC, after.X_WC)
             speed, turn = (float(np.linalg.norm(part)) / seconds for part in (moved[:3], moved[3:]))
-            if self._first is not None and (speed > asked.speed_m_s or turn > asked.turn_rad_s):
+            if self._first is not None and (speed > asked.speed_m_s or turn > _TURN_RAD_S):
                 why = f"{speed:.2f} m/s, {turn:.2f} rad/s between two poses"
-                most = f"{asked.speed_m_s:g} and {asked.turn_rad_s:g} at most"
+                most = f"{asked.speed_m_s:g} and {_TURN_RAD_S:g} at most"
                 raise _refusal("jump", f"{why}, {most}: it was lost, or began another map")
         self._checked_ns = max(self._checked_ns, poses[-1].time_ns) if poses else self._checked_ns
 

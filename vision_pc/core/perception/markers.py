@@ -21,6 +21,7 @@ Region = tuple[int, int, int, int]
 """x_min, y_min, x_max, y_max in pixels, maxima exclusive."""
 
 AMBIGUOUS_BELOW = 9.0  # χ² between the two planar solutions: three standard deviations
+_THRESHOLD_PX = 13  # [M] one window: 8.5…17 ms a frame; three windows: 21…52
 _SIZE_SIGMAS = 5.0
 _SUSPICIOUS = 4.0  # rms residual in corner standard deviations above which the cause is looked for
 _SAME_POSE = 1e-3  # rad
@@ -90,7 +91,7 @@ def _even_light(image: Image) -> Image:
 
 def _read_markers(image: Image, settings: MarkerSettings) -> tuple[dict[int, Array], Counter[str], set[int]]:
     """Known markers that ``image`` shows once, counts of refusals, and the numbers shown more often."""
-    found, ids, _ = _detector(settings.dictionary, settings.threshold_window_px).detectMarkers(image)
+    found, ids, _ = _detector(settings.dictionary).detectMarkers(image)
     numbers = [] if ids is None else [int(number) for number in ids.ravel()]
     times = Counter(numbers)
     repeated = {number for number in settings.sizes if times[number] > 1}
@@ -104,10 +105,10 @@ def _read_markers(image: Image, settings: MarkerSettings) -> tuple[dict[int, Arr
 
 
 @lru_cache(maxsize=8)
-def _detector(dictionary: str, window: int) -> cv2.aruco.ArucoDetector:
+def _detector(dictionary: str) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
+    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = _THRESHOLD_PX
     parameters.errorCorrectionRate = 0.6  # one wrong cell of 25: a small marker's number stays readable
     parameters.perspectiveRemovePixelPerCell = 8  # so do those of a small marker that is turned
     return cv2.aruco.ArucoDetector(

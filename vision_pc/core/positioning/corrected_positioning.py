@@ -46,6 +46,7 @@ from vision_pc.core.positioning.predicted_end import (
 from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
+_FIRST_SHARE = 0.9  # [S] of the way, before the first correction
 _DOUBTFUL = 0.5  # of the tolerance: what is predicted does not expect ends farther off
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
@@ -101,7 +102,7 @@ async def look_then_move_corrected(
     while _needs_another_motion(residuals, parts, track, settings, map_settings):
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
         x, covariance = solve_step(fitted, residuals[-1])
-        share = map_settings.first_share if len(steps) + 1 < parts else 1.0
+        share = _FIRST_SHARE if len(steps) + 1 < parts else 1.0
         planned = PlannedStep(x, covariance, share, max(settings.corrections + 1 - len(steps), 1))
         steps.append(_step(look, fitted, track, planned, settings, map_settings))
         report(0.2 + 0.6 * min(len(steps) / (settings.corrections + 1), 1.0), _in_words(residuals[-1]))

@@ -21,6 +21,9 @@ from vision_pc.core.ports import Arm, Eyes, ReferenceStream, Report, Watch
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
 
+_PULL_M = 0.01  # [D] from where the pictures see the object: three times the servo's floor
+_LOST_S = 0.5  # [D] five pictures: held since the second, then stopped
+_FROZEN_PICTURES = 4  # [D] alike to the last digit
 _RESTS = 5  # so often at rest outside what is accepted: not slow, but loose
 _FEED_S = 0.03  # [D] between references; the controller slows down after 76 ms without one
 _HOLD_S = 0.2  # [D] two pictures without a view: the controller refuses what was seen more than 250 ms ago
@@ -93,7 +96,7 @@ class ServoingLaw:
         if self._still and not self.settled:
             left, there = np.mean(self._left, axis=0), np.mean(self._measured, axis=0)
             pulled = self._target + _shorten(s.pull_gain * left, s.step_m)
-            self._target = there + _shorten(pulled - there, s.pull_m)
+            self._target = there + _shorten(pulled - there, _PULL_M)
             self._pulls += 1
             self.nearest_m = min(self.nearest_m, float(np.abs(self.errors.mean(axis=0))[:2].max()))
             for kept in (self._errors, self._left, self._measured):
@@ -143,7 +146,7 @@ async def servo_to_object(
     """The approach, once the error has settled inside ``settle_m`` in x and y.
 
     ``R_TC`` from a local calibration or map. Raises MeasurementFailed with the arm stopped: ``view_lost``
-    (tool or object unseen for ``lost_s``), ``camera_silent``, ``camera_frozen``, ``step_too_large``,
+    (tool or object unseen for half a second), ``camera_silent``, ``camera_frozen``, ``step_too_large``,
     ``not_settled`` after ``timeout_s``, ``play_too_wide`` when it had come to rest by then, but never there;
     errors of arm and eyes pass through.
     """
@@ -179,7 +182,7 @@ async def _follow_object(
 ) -> None:
     """Follow the object until the loop has settled: one reference with every picture, and more between.
 
-    When the newest sight is older than ``hold_s``, the arm is held where it is until there is another.
+    When the newest sight is older than ``_HOLD_S``, the arm is held where it is until there is another.
     """
     settings, seen_ns = detections.settings, first.time_ns
     held: Array | None = None
@@ -244,11 +247,10 @@ class _Detections:
         sample = await self._watch.after(self._taken, _FEED_S)
         if sample is None:
             self._silent_s += _FEED_S
-            if self._silent_s > self.settings.lost_s:
+            if self._silent_s > _LOST_S:
                 raise MeasurementFailed(
                     "measurement.camera_silent",
-                    f"looking and moving: no picture for {self._silent_s:.2f} s, "
-                    f"limit {self.settings.lost_s:g} s",
+                    f"looking and moving: no picture for {self._silent_s:.2f} s, limit {_LOST_S:g} s",
                 )
             return None
         self._taken, self._silent_s = len(self._watch.samples), 0.0
@@ -267,11 +269,11 @@ class _Detections:
         if self._blind_since_ns is None:
             self._blind_since_ns = sample.time_ns if self._last is None else self._last.time_ns
         blind_s = 1e-9 * (sample.time_ns - self._blind_since_ns)
-        if blind_s > self.settings.lost_s:
+        if blind_s > _LOST_S:
             what = "tool" if sample.X_CM is None else "object"
             raise MeasurementFailed(
                 "measurement.view_lost",
-                f"looking and moving: {what} unseen for {blind_s:.2f} s, limit {self.settings.lost_s:g} s",
+                f"looking and moving: {what} unseen for {blind_s:.2f} s, limit {_LOST_S:g} s",
             )
 
     def _refuse_frozen(self, sample: WatchSample) -> None:
@@ -279,11 +281,11 @@ class _Detections:
         last = self._last
         same = last is not None and np.array_equal(sample.X_CO, last.X_CO)  # type: ignore[arg-type]
         self._alike = self._alike + 1 if same else 0
-        if self._alike >= self.settings.frozen_pictures:
+        if self._alike >= _FROZEN_PICTURES:
             raise MeasurementFailed(
                 "measurement.camera_frozen",
-                f"looking and moving: {self._alike + 1} pictures alike, at most "
-                f"{self.settings.frozen_pictures} are believed",
+                f"looking and moving: {self._alike + 1} pictures alike, at most {_FROZEN_PICTURES} "
+                "are believed",
             )
 
 

@@ -60,6 +60,8 @@ CALIBRATIONS = ("/camera/left/calibration", "/camera/right/calibration")
 IMAGES = ("/camera/left/image", "/camera/right/image")
 
 WAITING_FRAMES = 20  # [D] two seconds at 10 a second, 37 MB of pixels: more are left out, and counted
+_JPEG_QUALITY = 85  # [D]
+_JPEG_HZ = 1.0  # [M] 9 MB a minute
 _CLOCK_NS = 1_000_000_000
 _REMEMBERED = 1001  # observations, some 8 MB: as many as a look may take, and the one before
 
@@ -72,7 +74,7 @@ class _Image(NamedTuple):
 def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
     """The topics of a recording, those of pictures as ``settings`` want them."""
     eyes = {"none": 0, "jpeg": 1, "raw": 2}[settings.images]
-    shown = pictures.jpeg(settings.jpeg_quality) if settings.images == "jpeg" else pictures.raw
+    shown = pictures.jpeg(_JPEG_QUALITY) if settings.images == "jpeg" else pictures.raw
     image = format_of(CompressedImage if settings.images == "jpeg" else RawImage)
     return (
         Topic(FRAME, format_of(own.FrameMessage), own.frame_bytes),
@@ -265,7 +267,7 @@ class VisionRecorder:
     def _picture_due(self, capture_ns: int) -> bool:
         if self._settings.images != "jpeg":
             return True
-        period_ns = 1e9 / self._settings.jpeg_hz
+        period_ns = 1e9 / _JPEG_HZ
         if self._picture_ns is not None and capture_ns - self._picture_ns < period_ns:
             return False
         self._picture_ns = capture_ns
