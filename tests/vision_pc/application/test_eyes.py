@@ -199,7 +199,7 @@ async def test_looks_are_refused_while_the_arm_moves(bench: Bench) -> None:
 async def test_a_click_is_refused_where_what_was_clicked_has_moved_since(
     bench: Bench, pictures: Pictures, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench.eyes, "_kept_ns", 60 * 10**9)  # of a loaded machine, too
+    monkeypatch.setattr("vision_pc.application.camera_eyes._KEPT_NS", 60 * 10**9)  # of a loaded machine, too
     click = Click("left", np.array([500.0, 150.0]), "plane")
     shown = await bench.eyes.pair_after(0)
     assert bench.eyes.seen() is None
