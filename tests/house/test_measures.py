@@ -8,25 +8,26 @@ import pytest
 
 from tests.house import measures
 
-# What the house may weigh. A cut lowers it in its own commit. It is raised only in a commit that names what
-# was asked for, and lowers another line by as much.
+# What the house may weigh: a hundredth more than it does, so that no regression test is forbidden. A cut
+# lowers it in its own commit. It is raised only in a commit that names what was asked for, and lowers another
+# line by as much.
 BUDGET = {
-    "lines of source": 99_449,
-    "statements of source": 50_075,
+    "lines of source": 95_445,
+    "statements of source": 47_672,
     "statements of ROS 2": 879,
-    "statements of conformance": 6_264,
-    "statements of laboratory": 2_861,
+    "statements of conformance": 4_824,
+    "statements of laboratory": 2_782,
     "statements of structured text": 2_579,
-    "statements of the product": 37_492,
+    "statements of the product": 36_532,
     "lines that the three services import": 55_040,
-    "lines of tests": 63_039,
-    "statements of tests": 35_075,
+    "lines of tests": 58_580,
+    "statements of tests": 32_331,
     "lines of structured text, JavaScript, CSS and HTML": 8_485,
-    "modules": 631,
-    "words of pages": 49_338,
+    "modules": 613,
+    "words of pages": 46_460,
     "words of the README": 692,
     "configuration keys": 577,
-    "constants of vision without a tag": 368,
+    "constants of vision without a tag": 367,
     "constants of the controller without a tag": 21,
 }
 
