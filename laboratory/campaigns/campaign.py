@@ -12,6 +12,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from foundation.compiled import OUR_PACKAGES
 from foundation.configuration import layers
 from laboratory.campaigns.rows import Row, RowFile
 from laboratory.campaigns.workforce import AGAIN, Run, Task, results
@@ -25,10 +26,9 @@ _DIGITS = 16
 
 @cache
 def sources_hash() -> str:
-    """The hash of all sources of ours, tests apart."""
-    files = (file for folder in _ROOT.glob("*/__init__.py") for file in folder.parent.rglob("*.py"))
-    named = ((str(file.relative_to(_ROOT)), file) for file in files)
-    return _hash(named_file for named_file in named if not named_file[0].startswith("tests"))
+    """The hash of all sources of ours, wherever this package is installed."""
+    files = (file for package in OUR_PACKAGES for file in (_ROOT / package).rglob("*.py"))
+    return _hash((str(file.relative_to(_ROOT)), file) for file in files)
 
 
 def content_hash(path: Path) -> str:

@@ -185,7 +185,7 @@ def test_the_same_files_elsewhere_are_the_same_evidence(tmp_path: Path, configur
 
 
 def test_an_edited_source_file_measures_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "ours"
+    package = tmp_path / "vision_pc"
     package.mkdir()
     (package / "__init__.py").write_text("")
     monkeypatch.setattr(campaign, "_ROOT", tmp_path)
