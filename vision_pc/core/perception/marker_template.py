@@ -23,7 +23,7 @@ _PARAMETERS = 15  # corners, variance of the blur, six of light
 _SPILL = 2.2  # σ of the blur: the ground's light reaches so far into the paper
 _QUIET = 1.0  # cells of paper around the border that are believed in
 _LIKE = 0.85  # correlation of picture and model below which it is another thing
-_FLOOR_PX = 0.01  # [M] what sampling leaves in the model: experiment eyes-measure --method markers, no noise
+_FLOOR_PX = 0.01  # [M] what sampling leaves in the model, without noise (rendered markers, version 0.2.0)
 _LEAK, _LEAK_FROM = 0.2, 0.7  # [M] of the ground's light through the paper: the same, over blur; in cells
 
 
