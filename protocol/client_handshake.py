@@ -1,7 +1,9 @@
 """The client's handshake: HELLO again and again under a nonce, and the session that an answer grants."""
 
+from typing import NamedTuple
+
 from protocol.authentication import ChannelKeys, LinkKey
-from protocol.channel import Channel, LinkStatistics, unauthentic
+from protocol.channel import Channel, LinkStatistics
 from protocol.datagram import Header
 from protocol.datagram_layout import VERSION_MINOR
 from protocol.faults import Reason
@@ -10,6 +12,20 @@ from protocol.session_events import DatagramDropped
 
 HELLO_PERIOD_NS = 100_000_000
 HELLOS_PER_NONCE = 10
+
+
+class Credentials(NamedTuple):
+    """What a datagram of an open session carries, beside its numbers."""
+
+    session: int
+    minor: int
+    client_nonce: int
+    boot_id: int
+
+    def channel(self, key: LinkKey | None, next_sequence: int) -> Channel:
+        """One more channel of the client's in this session; ``key`` if it is an authenticated one."""
+        keys = None if key is None else key.of_client(self.client_nonce, self.session, self.boot_id)
+        return Channel(self.session, self.minor, next_sequence, keys)
 
 
 class ClientHandshake:
@@ -54,17 +70,16 @@ class ClientHandshake:
         """The session's channel; or why this one is not to be entered; or why it is no answer to HELLO."""
         if not isinstance(welcome, Welcome) or welcome.client_nonce != self._nonce:
             return statistics.drop("session.unknown", f"session {header.session:x} while connecting")
-        keys = None
-        if self._key:
-            keys = self._key.of_client(self._nonce, header.session, welcome.boot_id)
-        forged = unauthentic(data, header, keys.receives if keys else None, statistics)
+        granted = Credentials(header.session, header.minor, self._nonce, welcome.boot_id)
+        channel = granted.channel(self._key, self.channel.next_sequence)
+        forged = channel.unauthentic(data, header, statistics)
         if forged:
             return forged
         if header.minor > VERSION_MINOR:
             return Reason.INCOMPATIBLE_VERSION
         if self._arm_hash not in (ANY_ARM, welcome.arm_hash):
             return Reason.WRONG_ARM
-        return Channel(header.session, header.minor, self.channel.next_sequence, keys)
+        return channel
 
     def _channel(self, next_sequence: int) -> Channel:
         keys = ChannelKeys(self._key.of_hello(), self._key.of_hello()) if self._key else None

@@ -4,8 +4,8 @@ from dataclasses import replace
 from enum import Enum
 
 from protocol.authentication import LinkKey
-from protocol.channel import Channel, LinkStatistics
-from protocol.client_handshake import ClientHandshake
+from protocol.channel import Channel, LinkStatistics, is_newer
+from protocol.client_handshake import ClientHandshake, Credentials
 from protocol.clock_offset import HeartbeatTracker, OffsetEstimate
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.errors import DatagramRefused, LinkLost, RequestRefused
@@ -111,6 +111,25 @@ class ReferenceClient:
         """Bound on the error of ``clock_offset_ns``."""
         estimate = self.clock
         return estimate.uncertainty_ns if estimate else None
+
+    @property
+    def credentials(self) -> Credentials | None:
+        """What who speaks beside this end has to know of the open session."""
+        if self._welcome is None:
+            return None
+        channel, welcome = self._channel, self._welcome
+        return Credentials(channel.session, channel.minor, welcome.client_nonce, welcome.boot_id)
+
+    @property
+    def next_numbers(self) -> tuple[int, int]:
+        """The number of the next datagram, and the id of the next request."""
+        return self._channel.next_sequence, self._requests.next_id
+
+    def take_over(self, request: Request, next_sequence: int, now_ns: int) -> None:
+        """Waits for the answer to a request that was sent beside this end; its numbers go on behind it."""
+        if is_newer(next_sequence, self._channel.next_sequence):
+            self._channel.next_sequence = next_sequence
+        self._requests.enter(request, now_ns)
 
     def connect(self, now_ns: int) -> None:
         """Starts the handshake; ``tick`` repeats it until the controller answers.

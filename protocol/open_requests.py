@@ -20,7 +20,7 @@ class OpenRequests:
     """Requests of one run of a client, whose ``nonce`` keeps its ids apart from those of other runs."""
 
     def __init__(self, nonce: int) -> None:
-        self._next_id = ((nonce % 2**_RUN_BITS) << _COUNT_BITS) + 1
+        self._next_id: int = ((nonce % 2**_RUN_BITS) << _COUNT_BITS) + 1
         self._open: dict[int, _Open] = {}
 
     def numbered(self, request: Request) -> Request:
@@ -29,8 +29,13 @@ class OpenRequests:
 
     def enter(self, request: Request, now_ns: int) -> None:
         """Notes that a numbered request was sent."""
-        self._next_id = request.command_id + 1
+        self._next_id = max(self._next_id, request.command_id + 1)
         self._open[request.command_id] = _Open(request, now_ns)
+
+    @property
+    def next_id(self) -> int:
+        """The id of the next request."""
+        return self._next_id
 
     def settle(self, command_id: int) -> bool:
         """Whether the answer to ``command_id`` was waited for; it is not any more."""

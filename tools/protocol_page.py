@@ -36,7 +36,6 @@ from protocol.faults import (
 )
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
-from tools.plc import IEC, IEC_WORDS
 from tools.sample_messages import HEADER as HEADER_SAMPLE
 from tools.sample_messages import MESSAGES
 from tools.tables import (
@@ -50,6 +49,11 @@ from tools.tables import (
     table,
 )
 
+IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "x": "BYTE"} | {
+    "4s": "BYTE",
+    "16s": "BYTE",
+}
+IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
 GOLDEN = Path(__file__).parent / "golden_datagrams.json"

@@ -22,9 +22,9 @@ from websockets.typing import Subprotocol
 from foundation.event_log import EventLog
 from foundation.live import wire
 from foundation.live.wire import LatestQueue
-from foundation.rest.guard import AccessGuard
+from foundation.rest.access import Access, GuardedRequest
+from foundation.rest.guard import Guard
 from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, Refusal, RefusalLog, problem
-from foundation.rest.tokens import Access
 
 VIEWERS_MAX = 8
 _FIGURES_WITHIN_S = 3.0
@@ -123,7 +123,7 @@ class LiveFace:
 
     def __init__(self, access: Access, log: EventLog, name: str) -> None:
         self._name = name
-        self._guard = AccessGuard(_nothing, access, RefusalLog(log))
+        self._guard = Guard(access, RefusalLog(log))
         self._numbers = itertools.count(1)
         self._feeders: list[Feeder] = []
         self._viewers: list[Viewer] = []
@@ -229,7 +229,7 @@ class LiveFace:
         """The answer to what is no viewer, or may not look; None lets the handshake go on. HEAD is answered
         as GET without the body, by those who only look whether anybody is there.
         """
-        response = await self._response_to(_scope(connection, request), request.method)
+        response = await self._response_to(_asked(connection, request))
         if request.method != "HEAD":
             return response
         if response is None:
@@ -238,16 +238,16 @@ class LiveFace:
             response.headers["Upgrade"] = "websocket"
         return replace(response, body=b"")
 
-    async def _response_to(self, scope: dict[str, Any], method: str) -> Response | None:
-        refusal = self._guard.refusal(scope)
+    async def _response_to(self, asked: GuardedRequest) -> Response | None:
+        refusal = self._guard.refusal(asked)
         if refusal is not None:
             return _refusal_response(refusal)
-        if method not in ("GET", "HEAD"):
+        if asked.method not in ("GET", "HEAD"):
             return None  # which is answered 405
-        if scope["path"] == "/metrics":
+        if asked.path == "/metrics":
             told = [await feeder.figures() for feeder in self._feeders]
             return _response(http.HTTPStatus.OK, "".join(told).encode(), _TEXT)
-        if scope["path"] != "/":
+        if asked.path != "/":
             why = "there are / for viewers and /metrics"
             return _refusal_response(problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why))
         if len(self._viewers) >= VIEWERS_MAX:
@@ -257,24 +257,11 @@ class LiveFace:
         return None
 
 
-async def _nothing(*_given: Any) -> None:
-    """No application: the guard is asked for its judgement alone."""
-
-
-def _scope(connection: ServerConnection, request: Request) -> dict[str, Any]:
+def _asked(connection: ServerConnection, request: Request) -> GuardedRequest:
     """A handshake as our guard of HTTP reads requests."""
-    headers = [
-        (name.lower().encode(), value.encode("latin-1")) for name, value in request.headers.raw_items()
-    ]
-    return {
-        "type": "http",
-        "method": request.method,
-        "scheme": "http",
-        "path": request.path.partition("?")[0],
-        "headers": headers,
-        "server": connection.local_address,
-        "client": connection.remote_address,
-    }
+    fields = [(name.lower().encode(), value.encode("latin-1")) for name, value in request.headers.raw_items()]
+    client, server = connection.remote_address[0], connection.local_address[0]
+    return GuardedRequest(request.method, request.path.partition("?")[0], fields, client, server)
 
 
 def _refusal_response(refusal: Refusal) -> Response:

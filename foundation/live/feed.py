@@ -5,20 +5,21 @@ import json
 import os
 import select
 import socket
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from foundation.child_process import ended, started
 from foundation.event_log import EventLog
 from foundation.live import LiveSettings, wire
 from foundation.live.wire import SHARED_VARIABLE, LatestQueue
 from foundation.periods import take_fifo
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import RecordingThread, RecordSink
-from foundation.rest.tokens import Access, configured_access
+from foundation.rest.access import Access
+from foundation.rest.tokens import configured_access
 from foundation.secret_source import bound_tcp
 
 Opened = Callable[[Path, Sequence[Topic], Entries], RecordSink]
@@ -219,9 +220,6 @@ def shared_face(name: str) -> Callable[[], socket.socket]:
     return connect
 
 
-_END_S = 1.0
-
-
 def access_of(settings: LiveSettings, setting: str) -> Access:
     """Whom the face serves. Raises ConfigurationError as ``read_tokens`` does."""
     origins = frozenset(origin.lower() for origin in settings.allowed_origins)
@@ -242,7 +240,7 @@ class OwnFace:
         self._listener = bound_tcp(settings.host, settings.port or 0, f"{setting}.port")
         self._listener.listen()
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Any = None
 
     def connect(self) -> socket.socket:
         """Start the process. Raises OSError when it had been started before: it has ended by itself then."""
@@ -250,27 +248,15 @@ class OwnFace:
             raise OSError(f"the live face ended with status {self._process.poll()}")
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         with theirs, self._listener:
-            inherited = (self._listener.fileno(), theirs.fileno())
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "foundation.live", "own", *map(str, inherited), self._name],
-                stdin=subprocess.PIPE,
-                pass_fds=inherited,
-            )
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError), self._process.stdin as stdin:
-            stdin.write(self._settings.model_dump_json().encode())
+            inherited, given = (self._listener.fileno(), theirs.fileno()), self._settings.model_dump_json()
+            self._process = started("foundation.live own", given.encode(), inherited, self._name)
         return ours
 
     def close(self) -> None:
         """End the process, whose socket is closed by now; a port that nobody served is left."""
         self._listener.close()
-        if self._process is None:
-            return
-        try:
-            self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        if self._process is not None:
+            ended(self._process)
 
 
 class LiveShow:

@@ -10,7 +10,8 @@ import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from foundation.rest.tokens import Access, RestSettings, configured_access, is_loopback
+from foundation.rest.access import Access
+from foundation.rest.tokens import RestSettings, configured_access, is_loopback
 from protocol.errors import ConfigurationError
 
 NO_TOKEN = "LONGREACH_NO_TOKEN"

@@ -1,68 +1,62 @@
-"""What every REST API of ours has: problem documents, limits, a guarded server."""
+"""What every REST API of ours has: problem documents, a door, and uvicorn behind it."""
 
-import asyncio
 import contextlib
-import functools
-import resource
+import json
 import socket
-import sys
-from collections.abc import Callable, Generator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+import tempfile
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Generator, Iterator, Mapping
 from http import HTTPStatus
-from typing import Any, cast
+from typing import Any
 
 import uvicorn
-import uvloop
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.event_log import EventLog
-from foundation.rest.connections import Door, Lanes
-from foundation.rest.guard import AccessGuard, BodyLimit
-from foundation.rest.problems import Advise, RefusalLog, Refuse, advised, problem, problem_of, respond
-from foundation.rest.tokens import ANYBODY_HERE, Access
+from foundation.rest.access import Access
+from foundation.rest.door import Door
+from foundation.rest.guard import Guard, Refuse
+from foundation.rest.problems import (
+    MEDIA_TYPE,
+    Advise,
+    Refusal,
+    RefusalLines,
+    RefusalLog,
+    advised,
+    problem,
+    problem_of,
+)
 from protocol.errors import LongreachError
 
-MAX_BODY_BYTES = 16_384
-BODY_WITHIN_S = 5.0
 _DRAIN_S = 1  # for answers under way at the end; a service must be gone within 2 s
 _FAULTS_SHOWN = 20
-_BACKLOG = 1024  # connections that wait while one turn lasts
 Explain = Callable[[RequestValidationError], dict[str, Any]]
 
 
-class RestServer(uvicorn.Server):
-    """Uvicorn in whatever loop serves: signals and log are the service's. ``serve`` takes bound sockets.
+def respond(document: Refusal) -> JSONResponse:
+    """The response that carries a problem document."""
+    return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
 
-    ``access``: whom it serves. ``refused`` counts, by cause, whom it did not; each is told to ``log``.
-    ``places``: how many connections it keeps; the oldest that is not being served then yields to a new one,
-    which is answered 503 where all of them are.
+
+class RestServer(uvicorn.Server):
+    """Uvicorn behind a door, in whatever loop serves: signals and log are the service's.
+
+    ``serve`` takes the listener of ``service_socket``.
     """
 
-    def __init__(
-        self,
-        app: FastAPI,
-        access: Access = ANYBODY_HERE,
-        log: EventLog | None = None,
-        places: int | None = None,
-    ) -> None:
-        refusals = RefusalLog(log)
-        access = access._replace(advise=getattr(app.state, "advise", None))
-        self.refused = refusals.counts
-        lanes = Lanes(access.stops, refusals)
+    def __init__(self, app: FastAPI) -> None:
         super().__init__(
             uvicorn.Config(
-                AccessGuard(app, access, refusals),
-                http=cast(Any, functools.partial(Door, lanes)),
-                backlog=_BACKLOG,
+                app,
+                http="h11",
                 ws="none",
                 server_header=False,
                 log_config=None,
                 access_log=False,
                 lifespan="off",
-                limit_concurrency=None if places is None else places + 1,
                 timeout_graceful_shutdown=_DRAIN_S,
             )
         )
@@ -71,6 +65,32 @@ class RestServer(uvicorn.Server):
     def capture_signals(self) -> Generator[None, None, None]:
         """Leave the signals alone."""
         yield
+
+
+@contextlib.contextmanager
+def service_socket() -> Iterator[tuple[str, socket.socket]]:
+    """Where a service listens for its door alone, in a directory of this user: path, listener."""
+    with (
+        tempfile.TemporaryDirectory(prefix="longreach-") as folder,
+        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
+    ):
+        listener.bind(f"{folder}/rest")
+        listener.listen()
+        yield f"{folder}/rest", listener
+
+
+@contextlib.asynccontextmanager
+async def door(
+    listener: socket.socket, at: str, access: Access, log: RefusalLines | None, refuse: Refuse | None = None
+) -> AsyncIterator[Door]:
+    """A door at ``listener`` in this very loop, for as long as the block lasts, to the service at ``at``."""
+    made = Door(at, Guard(access, RefusalLog(log), refuse), access.stops)
+    serving = await made.serve(listener)
+    try:
+        yield made
+    finally:
+        serving.close()
+        made.close()
 
 
 def invalid_request(error: RequestValidationError) -> dict[str, Any]:
@@ -86,16 +106,14 @@ def install_problems(
     app: FastAPI,
     status_of_cause: Mapping[str, HTTPStatus],
     explain: Explain = invalid_request,
-    refuse: Refuse | None = None,
     advise: Advise | None = None,
 ) -> None:
-    """Make every error of ``app`` a problem document, and limit request bodies in size and time.
+    """Make every error of ``app`` a problem document.
 
-    ``explain``: the problem of a request that does not fit its schema. ``refuse``: see BodyLimit.
-    ``advise``: what to do about a cause; documents have it as ``advice``.
+    ``explain``: the problem of a request that does not fit its schema. ``advise``: what to do about a cause;
+    documents have it as ``advice``.
     """
-    app.state.advise = advise  # for those who refuse before the application is asked
-    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES, within_s=BODY_WITHIN_S, refuse=refuse, advise=advise)
+    app.add_middleware(OnceWritten, advise=advise)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
@@ -116,36 +134,43 @@ def install_problems(
         return respond(advised(document, advise))
 
 
-_SWITCH_S = 0.0005  # a tenth of Python's own: how long a busy thread keeps the others from the interpreter
+class OnceWritten:
+    """Refuses JSON that writes a member twice: which of the two counts is nowhere written."""
 
-_FILES = 4096  # more than connections, also of those too many, so that one that asks for a stop is accepted
+    def __init__(self, app: ASGIApp, advise: Advise | None) -> None:
+        self._app = app
+        self._advise = advise
 
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request, whose body has come whole."""
+        messages: list[Message] = [await receive()]
+        while messages[-1].get("more_body", False):
+            messages.append(await receive())
+        refusal = _ambiguity(b"".join(message.get("body", b"") for message in messages))
+        if refusal is not None:
+            document = problem(HTTPStatus.BAD_REQUEST, *refusal, instance=scope["path"])
+            await respond(advised(document, self._advise))(scope, receive, send)
+            return
 
-async def serve_in_thread(server: RestServer, listener: socket.socket) -> None:
-    """Serve at ``listener``, which is bound, until ``server.should_exit``; the caller's loop goes on.
+        async def received() -> Message:
+            return messages.pop(0) if messages else await receive()
 
-    Raises what the server raises. Once cancelled it ends the server first.
-    """
-
-    def serve() -> None:
-        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            runner.run(server.serve([listener]))
-
-    sys.setswitchinterval(_SWITCH_S)
-    _allow_files(_FILES)
-    with ThreadPoolExecutor(1, "rest") as thread:
-        serving = asyncio.get_running_loop().run_in_executor(thread, serve)
-        try:
-            await asyncio.shield(serving)
-        except asyncio.CancelledError:
-            server.should_exit = True
-            await serving
-            raise
+        await self._app(scope, received, send)
 
 
-def _allow_files(count: int) -> None:
-    """Let this process have ``count`` open files, or as many as it may."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != resource.RLIM_INFINITY and soft < count:
-        allowed = count if hard == resource.RLIM_INFINITY else min(count, hard)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
+def _ambiguity(body: bytes) -> tuple[str, str] | None:
+    """Cause and detail of JSON that is not to be read; what is no JSON, whoever wants some says so."""
+    twice: list[str] = []
+
+    def unique(members: list[tuple[str, Any]]) -> None:
+        if len({name for name, _ in members}) < len(members):
+            twice.extend(name for name, count in Counter(name for name, _ in members).items() if count > 1)
+
+    try:
+        json.loads(body or b"0", object_pairs_hook=unique)
+    except RecursionError:
+        return "request.too_deep", "the body is nested too deeply"
+    except ValueError:
+        return None
+    why = "member {!r} is written twice in one object"
+    return ("request.duplicate_member", why.format(twice[0][:80])) if twice else None

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel
 
+from foundation.child_process import ended, started
 from foundation.event_log import process_log
 from foundation.periods import Policy, take_policy
 from plant_emulator.config.scene import SceneConfig
@@ -22,7 +23,6 @@ from plant_emulator.core.camera.exposures import CameraMotion, CameraView, Captu
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.faults.kinds import AnyFault, CameraBlind, MarkerCovered
-from plant_emulator.shell.child_process import ended, started
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 from protocol.errors import LinkLost
 
@@ -174,7 +174,9 @@ class CameraSender:
         self._exposures = Exposures(scene.camera, scene.seed)
         self._poses, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._poses.setblocking(False)
-        self._process = started("plant_emulator.shell.camera_sender", scene, listener, theirs, scheduling)
+        with listener, theirs:
+            inherited, given = (listener.fileno(), theirs.fileno()), scene.model_dump_json().encode()
+            self._process = started("plant_emulator.shell.camera_sender", given, inherited, scheduling)
         asyncio.get_running_loop().add_reader(self._poses.fileno(), self._report_arrived)
 
     @property

@@ -21,13 +21,13 @@ from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import JSONResponse
-from starlette.types import Scope
 
 from foundation.event_log import EventLog, process_log
 from foundation.periods import Policy, take_policy
+from foundation.rest.access import GuardedRequest
 from foundation.rest.files import add_docs
 from foundation.rest.problems import Refusal, problem
-from foundation.rest.server import RestServer, install_problems
+from foundation.rest.server import RestServer, door, install_problems, service_socket
 from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.faults.kinds import FAULTS
@@ -44,7 +44,6 @@ from plant_emulator.core.faults.schedule import (
 )
 from protocol.errors import LinkLost, RequestRefused
 
-PLACES = 64  # connections
 READY = b"ready"  # the first message to the plant
 _ANSWER_WITHIN_S = 2.0
 _SHOWN = 80  # characters of a value that is refused
@@ -152,7 +151,7 @@ def create_app(plant: FaultedPlant, allowed: bool, origins: Sequence[str] = ()) 
     app = FastAPI(title="Longreach plant emulator", version="1", docs_url=None, redoc_url=None)
     if origins:
         app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"])
-    install_problems(app, _STATUS_OF_CAUSE, _problem_of, None if allowed else _not_allowed)
+    install_problems(app, _STATUS_OF_CAUSE, _problem_of)
     add_docs(app)
     _add_reading(app, plant, allowed)
     _add_changing(app, plant)
@@ -225,12 +224,12 @@ def _add_changing(app: FastAPI, plant: FaultedPlant) -> None:
         return {"restarts": True}
 
 
-def _not_allowed(scope: Scope) -> Refusal | None:
+def not_allowed(asked: GuardedRequest) -> Refusal | None:
     """The problem of a request that would change anything, before its body is read."""
-    if scope["method"] in ("GET", "HEAD"):
+    if asked.method in ("GET", "HEAD"):
         return None
     cause, why = "refused.faults_not_allowed", "this emulator was started without --allow-faults"
-    return problem(_STATUS_OF_CAUSE[cause], cause, why, instance=scope["path"])
+    return asked.refused(_STATUS_OF_CAUSE[cause], cause, why)
 
 
 def _problem_of(error: RequestValidationError) -> dict[str, Any]:
@@ -253,12 +252,14 @@ async def serve(config: FaultApiConfig, listener: socket.socket, link: socket.so
     app = create_app(plant, config.allowed, config.allowed_origins)
     origins = frozenset(origin.lower() for origin in config.allowed_origins)
     access = configured_access(config, "plant_service.fault_face")._replace(allowed_origins=origins)
-    server = RestServer(app, access, log, PLACES)
-    serving = asyncio.create_task(server.serve([listener]))
-    link.send(READY)
-    await plant.ended.wait()
-    server.should_exit = server.force_exit = True  # without a plant nothing under way can be answered
-    await serving
+    with service_socket() as (at, behind):
+        server = RestServer(app)
+        serving = asyncio.create_task(server.serve([behind]))
+        async with door(listener, at, access, log, None if config.allowed else not_allowed):
+            link.send(READY)
+            await plant.ended.wait()
+        server.should_exit = server.force_exit = True  # without a plant nothing under way can be answered
+        await serving
 
 
 def main() -> int:

@@ -5,6 +5,7 @@ import contextlib
 import socket
 from collections.abc import Callable
 
+from foundation.child_process import ended, started
 from foundation.event_log import EventLog
 from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
@@ -18,7 +19,6 @@ from plant_emulator.core.faults.schedule import (
     RestartOrder,
 )
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.child_process import ended, started
 from protocol.errors import LinkLost
 
 _TOLD_EVERY_NS = 50_000_000
@@ -53,9 +53,9 @@ class FaultDesk:
     def start(self, listener: socket.socket, scheduling: str) -> None:
         """Start the process, which serves at ``listener``."""
         listener.listen()
-        self._process = started(
-            "plant_emulator.shell.fault_api", self._config, listener, self._theirs, scheduling
-        )
+        with listener, self._theirs as theirs:
+            inherited, given = (listener.fileno(), theirs.fileno()), self._config.model_dump_json().encode()
+            self._process = started("plant_emulator.shell.fault_api", given, inherited, scheduling)
 
     @property
     def pid(self) -> int:

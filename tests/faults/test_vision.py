@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foundation.rest.server import RestServer
+from foundation.rest.access import ANYBODY_HERE
+from foundation.rest.server import RestServer, door, service_socket
 from plant_emulator.core.faults.kinds import MarkerCovered, ObjectMoves
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
@@ -243,7 +244,7 @@ def hanging_listener(port: int, path: str) -> socket.socket:
     """A browser that asks and never reads."""
     sock = socket.create_connection(("127.0.0.1", port))
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
-    sock.sendall(f"GET {path} HTTP/1.1\r\nhost: vision\r\n\r\n".encode())
+    sock.sendall(f"GET {path} HTTP/1.1\r\nhost: localhost\r\n\r\n".encode())
     return sock
 
 
@@ -251,13 +252,12 @@ def hanging_listener(port: int, path: str) -> socket.socket:
 async def served(rig: LiveRig) -> Any:
     """The port of the rig's REST face on a real socket."""
     server = RestServer(rig.app)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        task = asyncio.create_task(server.serve([listening]))
-        try:
+    with socket.create_server(("127.0.0.1", 0)) as listening, service_socket() as (at, behind):
+        task = asyncio.create_task(server.serve([behind]))
+        async with door(listening, at, ANYBODY_HERE, None):
             yield listening.getsockname()[1]
-        finally:
-            server.should_exit = True
-            await task
+        server.should_exit = True
+        await task
 
 
 def full_disk(directory: Path) -> Path:

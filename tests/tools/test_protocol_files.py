@@ -1,4 +1,4 @@
-"""The files for PLCs and programs: equal to the tables, right by the golden datagrams, and run."""
+"""The files for PLCs and programs: right by the golden datagrams, and run."""
 
 import csv
 import json
@@ -25,23 +25,18 @@ from protocol.process_image import (
 )
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
-from tools.plc import camel
-from tools.protocol_files import FILES, FOLDER
+from tools.protocol_files import FOLDER, cases_csv
 from tools.protocol_page import signed_golden
 from tools.sample_messages import HEADER, MESSAGES
 
-HELPERS = (FOLDER / "helpers.st").read_text(encoding="utf-8")
 GOLDEN = [encode(message, HEADER) for message in MESSAGES]
 WORD_CODES = {"UINT": "H", "INT": "h", "DINT": "i"}
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_the_file_is_that_of_the_tables(name: str) -> None:
-    assert (FOLDER / name).read_text(encoding="utf-8") == FILES[name](), "run: python -m tools.protocol_files"
-
-
-def test_no_file_lies_there_that_is_neither_made_nor_written_by_hand() -> None:
-    assert {path.name for path in FOLDER.iterdir()} == {*FILES, "helpers.st", "sample.pcap"}
+def test_the_list_of_cases_is_that_of_the_suites() -> None:
+    assert (FOLDER / "cases.csv").read_text(encoding="utf-8") == cases_csv(), (
+        "run: python -m tools.protocol_files"
+    )
 
 
 # Structured text, compiled and run.
@@ -52,9 +47,8 @@ def program() -> CompiledProgram:
     """All three texts."""
     return CompiledProgram(
         {
-            "types_twincat_codesys.st": FILES["types_twincat_codesys.st"](),
-            "helpers.st": HELPERS,
-            "fields.st": FILES["fields.st"](),
+            name: (FOLDER / name).read_text(encoding="utf-8")
+            for name in ("types_twincat_codesys.st", "helpers.st", "fields.st")
         }
     )
 
@@ -96,7 +90,7 @@ def flat_message(value: Any) -> list[Any]:
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 def test_structured_text_reads_and_writes_every_datagram_as_the_codec_does(message: Any) -> None:
     data = encode(message, HEADER)
-    kind = camel(Kind(data[6]))
+    kind = Kind(data[6]).name.title().replace("_", "")
     st_data = program().new(f"ST_LR_{kind}")
     assert program().call(f"F_LR_Read{kind}", aData=datagram(data), stData=st_data).result is True
     plain = st_data.as_dict()

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from tests.vision_pc.synthetic_station import bench
-from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.api import DOCUMENT, create_app
 
-PINNED = Path(__file__).parent / "openapi.json"
+PINNED = Path(str(DOCUMENT))
 RENEW = "python -m tests.vision_pc.test_openapi"
 
 
@@ -23,8 +23,8 @@ async def document() -> str:
         return json.dumps(app.openapi(), indent=1, ensure_ascii=False) + "\n"
 
 
-async def test_the_api_is_the_pinned_one() -> None:
-    pinned, now = PINNED.read_text(encoding="utf-8").splitlines(), (await document()).splitlines()
+def test_the_api_is_the_pinned_one() -> None:
+    pinned, now = PINNED.read_text(encoding="utf-8").splitlines(), asyncio.run(document()).splitlines()
     changes = list(difflib.unified_diff(pinned, now, "pinned", "now", n=1, lineterm=""))
     assert changes == [], f"the API has changed; if it is meant: {RENEW}"
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from protocol.channel import LinkStatistics
+from protocol.client_handshake import Credentials
 from protocol.client_session import ReferenceClient
 from protocol.clock_offset import OffsetEstimate
 from protocol.errors import LinkLost, RequestRefused
@@ -165,6 +166,16 @@ class ReferenceLink:
         return self._clock.now_ns - self._received_ns
 
     @property
+    def credentials(self) -> Credentials | None:
+        """Of the open session: for who speaks beside this link."""
+        return self._session.credentials
+
+    @property
+    def next_numbers(self) -> tuple[int, int]:
+        """The number of the next datagram, and the id of the next request."""
+        return self._session.next_numbers
+
+    @property
     def now_ns(self) -> int:
         """The time on our clock."""
         return self._clock.now_ns
@@ -249,6 +260,12 @@ class ReferenceLink:
         self._tell(Submitted(command_id, request))
         self._transport.flush()
         return command_id
+
+    def take_over(self, request: Request, next_sequence: int) -> None:
+        """Have a request answered that was sent beside this link, in its session; numbers go on behind it."""
+        self._session.take_over(request, next_sequence, self._clock.now_ns)
+        self._tell(Submitted(request.command_id, request))
+        self._transport.flush()
 
     async def answer(self, command_id: int) -> Acknowledgement:
         """The acknowledgement of a submitted request. Raises LinkLost when none comes in time."""

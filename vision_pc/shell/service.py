@@ -2,6 +2,8 @@
 
 import asyncio
 import os
+import socket
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -9,16 +11,15 @@ from functools import partial
 from typing import Any
 
 import cv2
-from fastapi import FastAPI
 
 from foundation.event_log import EventLog
 from foundation.incidents import incidents_here
 from foundation.live.feed import open_show
 from foundation.periods import Limit, Tally
-from foundation.rest.files import Home
 from foundation.rest.no_token import WARNING, access_without_token, without_token
-from foundation.rest.server import RestServer, serve_in_thread
-from foundation.secret_source import bound_tcp
+from foundation.rest.problems import RefusalLog
+from foundation.rest.server import RestServer, service_socket
+from foundation.secret_source import bound_tcp, read_key
 from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from nominal_arm.description import NominalArm
@@ -33,14 +34,17 @@ from vision_pc.application.program import Program
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.camera_eyes import MonotonicClock, open_eyes
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.link.udp_endpoint import MachineWatch, UdpEndpoint
+from vision_pc.shell.link.machine_watch import MachineWatch
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.recording.opening import open_recording
 from vision_pc.shell.recording.recorded_ports import record_programs
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 from vision_pc.shell.rest.metrics import told
 from vision_pc.shell.rest.operations import Operations
+from vision_pc.shell.stops.door_process import DoorProcess
 
 _NAME = "vision_pc"
+_SWITCH_S = 0.0005  # a tenth of Python's own: for how long a busy thread keeps the loop waiting
 _LIMITS = {
     "scans": Limit(1.0, "of the controller's scans were late"),
     "pictures": Limit(20.0, "of the pictures were skipped"),
@@ -66,6 +70,7 @@ class VisionService:
         self._access = access_without_token(config.api, "vision.api", os.environ, STOPS, PUBLIC)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         self._told: Callable[[], str] = str
+        self._status = 0
         self._sessions = SessionStore(config.sessions_dir)
         try:
             self._sessions.refuse_strangers()
@@ -89,47 +94,46 @@ class VisionService:
 
         Raises ConfigurationError when the key of the link cannot be read.
         """
-        with self._socket:
-            await self._serve()
-        return 0
+        with self._socket, service_socket() as (at, listener):
+            key = read_key(self._config.link.link_key)
+            self._refusals = RefusalLog(self._log)
+            self._address = self._socket.getsockname()
+            self._door = DoorProcess(self._socket, at, self._access, key, self._refusals)
+            try:
+                await self._serve(listener)
+            finally:
+                self._door.close()
+        return self._status
 
     def _endpoint(self) -> UdpEndpoint:
         settings, arm = self._config.link, self._arm
-        made = UdpEndpoint(settings, settings.expected_arm(arm), self._log, MonotonicClock())
+        made = UdpEndpoint(settings, settings.expected_arm(arm), self._log, MonotonicClock(), self._door)
         made.link.ranges = {} if settings.any_arm else joint_ranges(arm)
         return made
 
-    async def _serve(self) -> None:
+    async def _serve(self, listener: socket.socket) -> None:
         cv2.setNumThreads(1)  # one core is for the controller and the plant
-        config, nominal, log = self._config, dimensions(self._arm), self._log
+        sys.setswitchinterval(_SWITCH_S)
+        config, log = self._config, self._log
         endpoint = self._endpoint()
         self._link = link = endpoint.link
         camera = open_camera(config.camera)
         self._opened = opened = open_eyes(camera, link, config, log)
-        eyes = opened.eyes
-        arm = LinkArm(link, config.motion)
-        guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
-        application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
+        application = self._application(opened.eyes)
         MachineWatch(camera, link, application.begin_anew)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
-        application.overload, application.figures = lambda: watch.overload, self._counters
-        application.links, self._told = nominal.links, partial(told, application)
-        self._record_from(eyes, application)
+        application.overload = lambda: watch.overload
+        self._record_from(opened.eyes, application)
         operations = Operations(application.arm.halt, log)
-        self._server = server = RestServer(self._app(application, operations), self._access, log)
-        leaving: list[asyncio.Task[None]] = []
-
-        def leave() -> None:
-            leaving.append(asyncio.create_task(operations.close()))  # the arm first, then open connections
-            server.should_exit = True
-
-        when_asked_to_end(leave)
+        face = config.api.emulator_face
+        server = RestServer(create_app(application, operations, self._programs, emulator_face=face))
+        self._heed(operations, server)
         await endpoint.start()
         await camera.start()
         beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
         self._say_ready()
         try:
-            await serve_in_thread(server, self._socket)
+            await server.serve([listener])
         finally:
             for task in beside:
                 task.cancel()
@@ -139,6 +143,35 @@ class VisionService:
             opened.close()
             self._statistics.write()
             await self._say_stopped()
+
+    def _application(self, eyes: CameraEyes) -> VisionApplication:
+        config, link, log, nominal = self._config, self._link, self._log, dimensions(self._arm)
+        arm = LinkArm(link, config.motion)
+        guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
+        made = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
+        made.figures, made.incidents = self._counters, incidents_here().newest
+        made.links, self._told = nominal.links, partial(told, made)
+        return made
+
+    def _heed(self, operations: Operations, server: RestServer) -> None:
+        """End the operation after a stop of the door's; end the service when asked, or without a door."""
+        ending: set[asyncio.Task[None]] = set()
+
+        def end_operation() -> None:
+            ending.add(task := asyncio.create_task(operations.close()))
+            task.add_done_callback(ending.discard)
+
+        def leave() -> None:
+            end_operation()  # the arm first, then open connections
+            server.should_exit = True
+
+        def door_gone() -> None:
+            self._status = 1
+            self._log.write("door_ended", "error", cause="internal", detail="the REST port's process")
+            leave()
+
+        self._door.stopped, self._door.gone = end_operation, door_gone
+        when_asked_to_end(leave)
 
     def _record_from(self, eyes: CameraEyes, application: VisionApplication) -> None:
         if self._recorder is not None:
@@ -153,16 +186,10 @@ class VisionService:
         if self._show is not None:
             await asyncio.to_thread(self._show.close)
 
-    def _app(self, application: VisionApplication, operations: Operations) -> FastAPI:
-        """The API over what lives in this loop."""
-        application.incidents = incidents_here().newest
-        home, face = Home(asyncio.get_running_loop()), self._config.api.emulator_face
-        return create_app(application, operations, self._programs, home, face)
-
     def _say_ready(self) -> None:
         if without_token(os.environ):
             self._log.write("without_token", "warning", cause="configuration.no_token", detail=WARNING)
-        host, port = self._socket.getsockname()
+        host, port = self._address
         say_ready(
             _NAME,
             rest={"host": host, "port": port},
@@ -190,7 +217,7 @@ class VisionService:
             "link": asdict(self._link.statistics),
             "camera": self._opened.eyes.status()._asdict(),
             "scheduling": self._opened.worker.scheduling,
-            "rest_refused": dict(self._server.refused),
+            "rest_refused": dict(self._refusals.counts),
             "live_dropped": 0 if self._show is None else self._show.feed.dropped,
             "recording": {} if self._recorder is None else self._recorder.counts(),
         }

@@ -10,9 +10,10 @@ import pytest
 from fastapi import FastAPI
 
 from foundation.rest import no_token
+from foundation.rest.access import Access
 from foundation.rest.no_token import NO_TOKEN, access_without_token, gateways
 from foundation.rest.server import install_problems
-from foundation.rest.tokens import Access, TokenSources
+from foundation.rest.tokens import TokenSources
 from foundation.secret_source import SecretSource, write_new_secret
 from protocol.errors import ConfigurationError
 from tests.foundation.rest.serving import serving

@@ -9,16 +9,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import httpx
 import pytest
 from fastapi import FastAPI
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel
-from foundation.rest.guard import AccessGuard
+from foundation.rest.access import Access, Role
+from foundation.rest.access import GuardedRequest as Request
+from foundation.rest.guard import Guard
 from foundation.rest.problems import RefusalLog
 from foundation.rest.server import install_problems
-from foundation.rest.tokens import Access, Role, TokenSources, configured_access, is_loopback
+from foundation.rest.tokens import TokenSources, configured_access, is_loopback
 from foundation.secret_source import SecretSource, write_new_secret
 from protocol.errors import ConfigurationError
 from tests.foundation.rest.serving import serving
@@ -77,7 +78,7 @@ def api() -> Iterator[Asked]:
 
     log = HeardLog()
     with serving(app, ACCESS, log) as served:
-        yield Asked(served.port, done, log, served.server.refused)
+        yield Asked(served.port, done, log, served.refused)
     log.close()
 
 
@@ -221,9 +222,8 @@ def test_a_service_does_not_start_beyond_loopback_without_a_token(module: str, s
     assert not done.stdout
 
 
-async def test_a_refusal_says_what_to_do_where_the_service_knows() -> None:
-    check = AccessGuard(FastAPI(), ACCESS._replace(advise=lambda cause: f"mend {cause}"), RefusalLog(None))
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(check), base_url="http://127.0.0.1") as client:
-        answer = await client.get("/state")
-    assert answer.status_code == 401
-    assert answer.json()["advice"] == "mend refused.no_token"
+def test_a_refusal_says_what_to_do_where_the_service_knows() -> None:
+    guard = Guard(ACCESS._replace(advise=lambda cause: f"mend {cause}"), RefusalLog(None))
+    refusal = guard.refusal(Request("GET", "/state", [(b"host", b"localhost")], "127.0.0.1", "127.0.0.1"))
+    assert refusal is not None
+    assert refusal["advice"] == "mend refused.no_token"

@@ -1,4 +1,4 @@
-"""The REST API on a real port, over the synthetic arm, served in a thread of its own as the service does."""
+"""The REST API behind its door on a real port, over the synthetic arm."""
 
 import asyncio
 import contextlib
@@ -7,10 +7,10 @@ import threading
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
-from foundation.rest.files import Home
-from foundation.rest.server import RestServer, serve_in_thread
-from foundation.rest.tokens import Access, Role
+from foundation.rest.access import Access, Role
+from foundation.rest.server import RestServer, door, service_socket
 from tests.vision_pc.synthetic_station import Bench, bench
+from vision_pc.application.console.advice import advice
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 
 
@@ -40,15 +40,16 @@ def served_bench(
             made.controller.speed = 50.0
             if enabled:
                 await made.post("/enable")
-            home = Home(asyncio.get_running_loop())
-            app = create_app(made.station, made.operations, home=home, emulator_face=emulator_face)
-            server = RestServer(app, Access((), tokens, frozenset(STOPS), PUBLIC), made.station.log)
-            task = asyncio.create_task(serve_in_thread(server, listening))
-            benches.append(made)
-            started.set()
-            await asyncio.to_thread(leave.wait)
-            server.should_exit = True
-            await task
+            app = create_app(made.station, made.operations, emulator_face=emulator_face)
+            server, access = RestServer(app), Access((), tokens, frozenset(STOPS), PUBLIC, advise=advice)
+            with service_socket() as (at, behind):
+                task = asyncio.create_task(server.serve([behind]))
+                async with door(listening, at, access, made.station.log):
+                    benches.append(made)
+                    started.set()
+                    await asyncio.to_thread(leave.wait)
+                server.should_exit = True
+                await task
 
     thread = threading.Thread(target=lambda: asyncio.run(serve()))
     thread.start()

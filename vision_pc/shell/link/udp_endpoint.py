@@ -1,74 +1,31 @@
-"""The reference link over UDP: an asyncio endpoint that carries the datagrams of a ``ReferenceLink``."""
+"""The reference link over UDP: a socket that carries the datagrams of a ``ReferenceLink``."""
 
 import asyncio
+import contextlib
 import secrets
-from collections.abc import Callable
-from typing import Any, cast
+import socket
+from typing import Any, Protocol
 
 from foundation.secret_source import read_key
 from protocol.client_session import ReferenceClient
+from protocol.datagram_layout import MAX_DATAGRAM_BYTES
 from protocol.errors import LinkLost
-from protocol.reference_messages import FLAG_PLANT_LINK_OK, Request
+from protocol.reference_messages import Request
 from protocol.session_events import (
     AcknowledgementReceived,
     ClientEvent,
     Connected,
     DatagramDropped,
     SessionLost,
-    StateReceived,
     StreamRefusedReceived,
 )
-from vision_pc.application.ports import Clock, FrameSource, Log
+from vision_pc.application.ports import Clock, Log
 from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
 from vision_pc.config.vision import LinkSettings
-from vision_pc.core.types import StereoPair
 
-
-class MachineWatch:
-    """Calls ``begun_anew`` when the plant was silent and the camera counts its pictures from the start again.
-
-    Either alone is no reason: a camera that is plugged in anew stands where it stood, and what the arm did
-    while its fieldbus was interrupted, the encoders tell.
-    """
-
-    def __init__(
-        self, frames: FrameSource[StereoPair], link: ReferenceLink, begun_anew: Callable[[], None]
-    ) -> None:
-        self._frames = frames
-        self._link = link
-        self._begun_anew = begun_anew
-        self._silent = False  # the plant was, and no picture of the same row has come since
-        self._counts_anew = False
-        self._answers_ns = 0
-        self._last: StereoPair | None = None
-        link.listeners.append(self._on_heard)
-
-    def _on_heard(self, event: Submitted | Streamed | ClientEvent) -> None:
-        if isinstance(event, SessionLost):
-            self._silent, self._answers_ns = True, 0
-        elif isinstance(event, StateReceived):
-            self._judge(bool(event.state.flags & FLAG_PLANT_LINK_OK))
-
-    def _judge(self, answers: bool) -> None:
-        if not answers:
-            self._silent, self._answers_ns = True, 0
-        elif not self._answers_ns:
-            self._answers_ns = self._link.now_ns
-        newest, last = self._frames.newest, self._last
-        if newest is not None and newest is not last:
-            self._counts_anew |= last is not None and newest.frame_id < last.frame_id
-            self._last = newest
-        if not answers:
-            return
-        if self._silent and self._counts_anew:
-            self._silent = False
-            self._begun_anew()
-        elif newest is not None and newest.capture_ns > self._answers_ns:
-            self._silent = False  # the camera's own row of pictures has gone on
-        if not self._silent:
-            self._counts_anew = False
-
-
+_TRIED_S = 1.0  # for so long an address is tried
+_MOST_AT_ONCE = 256  # datagrams
+_Address = tuple[int, Any]  # family, and what connects to it
 _LOG_DROPS_NS = 1_000_000_000  # at most one line a second, whatever the peer sends
 
 
@@ -129,17 +86,39 @@ class LinkJournal:
             self._log.write("datagram_dropped", "warning", cause=event.cause, detail=event.detail)
 
 
-class UdpEndpoint(asyncio.DatagramProtocol):
+class Beside(Protocol):
+    """Who speaks beside the link, from the same socket: the door of the REST API."""
+
+    def attach(self, link: ReferenceLink) -> None:
+        """It is this link that it speaks beside."""
+
+    def opened(self, sock: socket.socket) -> None:
+        """The link has this socket from now on."""
+
+    def sent(self, link: ReferenceLink) -> None:
+        """The link has sent."""
+
+    def hear(self) -> None:
+        """Take over what it has sent."""
+
+
+class UdpEndpoint:
     """A socket to the controller at ``settings.host`` with the ``link`` over it.
 
-    ``arm_hash``: of the arm that the controller must drive, or ``ANY_ARM``.
+    ``arm_hash``: of the arm that the controller must drive, or ``ANY_ARM``. While there is no session the
+    name is asked again, and its addresses are tried in turn.
     """
 
-    def __init__(self, settings: LinkSettings, arm_hash: int, log: Log, clock: Clock) -> None:
-        self._address = (settings.host, settings.port)
+    def __init__(
+        self, settings: LinkSettings, arm_hash: int, log: Log, clock: Clock, beside: Beside | None = None
+    ) -> None:
+        self._host, self._port = settings.host, settings.port
         self._clock = clock
-        self._transport: asyncio.DatagramTransport | None = None
+        self._beside = beside
+        self._socket: socket.socket | None = None
+        self._address: _Address | None = None
         self._timer: asyncio.TimerHandle | None = None
+        self._finding: asyncio.Task[None] | None = None
         session = ReferenceClient(
             secrets.randbits(64), arm_hash, settings.state_period_ms, key=read_key(settings.link_key)
         )
@@ -151,27 +130,29 @@ class UdpEndpoint(asyncio.DatagramProtocol):
 
         Raises LinkLost (``link.no_address``) when the host is not known.
         """
-        try:
-            await asyncio.get_running_loop().create_datagram_endpoint(lambda: self, remote_addr=self._address)
-        except OSError as error:
-            host, port = self._address
-            raise LinkLost("link.no_address", f"controller at {host}:{port}: {error}") from error
+        if self._beside is not None:
+            self._beside.attach(self.link)
+        any(self._open(each) for each in await self._addresses())
         self.link.connect()
+        self._finding = asyncio.create_task(self._keep_finding())
 
     async def close(self) -> None:
         """Tell the controller and close the socket."""
         self.link.disconnect()
-        if self._timer is not None:
-            self._timer.cancel()
-        if self._transport is not None:
-            self._transport.close()
+        for ending in (self._timer, self._finding):
+            if ending is not None:
+                ending.cancel()
+        self._close_socket()
 
     def flush(self) -> None:
         """Send what the link wants sent, and set the timer for its next deadline."""
         now_ns = self._clock.now_ns
-        if self._transport is not None and not self._transport.is_closing():
+        if self._socket is not None:
             for datagram in self.link.outgoing(now_ns):
-                self._transport.sendto(datagram)
+                with contextlib.suppress(OSError):  # nobody listens there (yet): the timeouts deal with it
+                    self._socket.send(datagram)
+            if self._beside is not None:
+                self._beside.sent(self.link)
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -185,13 +166,65 @@ class UdpEndpoint(asyncio.DatagramProtocol):
         self.link.tick()
         self.flush()
 
-    # asyncio's side
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no class of asyncio's
-
-    def datagram_received(self, data: bytes, addr: Any) -> None:
-        self.link.receive(data)
+    def _receive(self) -> None:
+        """Read the socket empty, then use what has come."""
+        assert self._socket is not None
+        came: list[bytes] = []
+        while len(came) < _MOST_AT_ONCE:
+            try:
+                came.append(self._socket.recv(MAX_DATAGRAM_BYTES + 1))
+            except BlockingIOError:
+                break
+            except OSError:  # nobody listens there (yet)
+                continue
+        if self._beside is not None:
+            self._beside.hear()
+        for data in came:
+            self.link.receive(data)
         self.flush()
 
-    def error_received(self, exc: Exception) -> None:
-        """Nobody listens there (yet): the session's own timeouts deal with it."""
+    async def _keep_finding(self) -> None:
+        while True:
+            await asyncio.sleep(_TRIED_S)
+            if self.link.credentials is not None:
+                continue
+            with contextlib.suppress(LinkLost):
+                addresses = await self._addresses()
+                at = addresses.index(self._address) + 1 if self._address in addresses else 0
+                following = addresses[at % len(addresses)]
+                if following != self._address and self.link.credentials is None:
+                    self._open(following)
+
+    async def _addresses(self) -> list[_Address]:
+        """Every address of the host. Raises LinkLost (``link.no_address``)."""
+        try:
+            found = await asyncio.get_running_loop().getaddrinfo(
+                self._host, self._port, type=socket.SOCK_DGRAM
+            )
+        except OSError as error:
+            why = f"controller at {self._host}:{self._port}: {error}"
+            raise LinkLost("link.no_address", why) from error
+        return [(family, address) for family, _, _, _, address in found]
+
+    def _open(self, where: _Address) -> bool:
+        """Have a socket to another address; whether there is a way there."""
+        self._close_socket()
+        self._address = where
+        opened = socket.socket(where[0], socket.SOCK_DGRAM)
+        try:
+            opened.setblocking(False)
+            opened.connect(where[1])
+        except OSError:
+            opened.close()
+            return False
+        self._socket = opened
+        asyncio.get_running_loop().add_reader(opened.fileno(), self._receive)
+        if self._beside is not None:
+            self._beside.opened(opened)
+        return True
+
+    def _close_socket(self) -> None:
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+            self._socket.close()
+            self._socket = None

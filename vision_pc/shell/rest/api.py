@@ -1,18 +1,21 @@
 """The REST API: state, looks, commands, and every long step as an operation resource."""
 
+import asyncio
+import json
 import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from http import HTTPStatus
+from importlib.resources import files
 from typing import Any
 
 from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
-from foundation.rest.files import Home, add_docs, run_endpoints_at
-from foundation.rest.problems import MEDIA_TYPE, problem, respond
-from foundation.rest.server import install_problems
+from foundation.rest.files import add_docs
+from foundation.rest.problems import MEDIA_TYPE, problem
+from foundation.rest.server import install_problems, respond
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode
 from vision_pc.application.application import VisionApplication
@@ -31,6 +34,7 @@ from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
 from vision_pc.shell.rest.state_view import LinkView, link_view, state_json
 from vision_pc.shell.rest.target_routes import add_targets
 
+DOCUMENT = files("vision_pc.shell.rest") / "openapi.json"
 SHOWN = "longreach-shown"
 MOST_S = 5.0  # a busy machine has answered within 2 s
 _JUDGED = frozenset({"POST", "PUT", "PATCH"})  # DELETE forgets, whenever it comes
@@ -89,14 +93,12 @@ def create_app(
     application: VisionApplication,
     operations: Operations,
     programs: Sequence[Program[Any, Any]] = PROGRAMS,
-    home: Home | None = None,
     emulator_face: str = "",
 ) -> FastAPI:
     """The API over one application; guided hand-eye calibration is there when the application has it.
 
-    ``home``: where the application lives, if it is served elsewhere. ``emulator_face``: an address that the
-    console may ask for what no service knows. Raises ConfigurationError when two
-    programs have one name.
+    ``emulator_face``: an address that the console may ask for what no service knows. Raises
+    ConfigurationError when two programs have one name.
     """
     app = FastAPI(
         title="Longreach vision PC",
@@ -104,6 +106,7 @@ def create_app(
         description=DESCRIPTION,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
         dependencies=[Depends(asked_lately(STOPS))],
+        openapi_url=None,
         docs_url=None,
         redoc_url=None,
     )
@@ -113,9 +116,7 @@ def create_app(
 
     install_problems(app, STATUS_OF_CAUSE, advise=advised)
     add_docs(app)
-    add_console(app, Console(application, operations, Overview(application.links), home), emulator_face)
-    if home is not None:
-        run_endpoints_at(app, home)
+    add_console(app, Console(application, operations, Overview(application.links)), emulator_face)
     _add_state(app, application, operations)
     add_metrics(app, application)
     _add_looks(app, application)
@@ -128,8 +129,20 @@ def create_app(
     if application.hand_eye is not None:
         add_session(app, operations, application.hand_eye)
         add_programs(app, application, operations, (program for program in table if program.tag == HAND_EYE))
+    _add_document(app, programs is PROGRAMS and application.hand_eye is not None)
     add_unknown(app, [program.name for program in table])
     return app
+
+
+def _add_document(app: FastAPI, whole: bool) -> None:
+    """Adds ``/openapi.json``. What is ``whole`` was made at build; else a thread makes it, once."""
+    made = [DOCUMENT.read_bytes()] if whole else []
+
+    @app.get("/openapi.json", include_in_schema=False)
+    async def document() -> Response:
+        if not made:
+            made.append(await asyncio.to_thread(lambda: json.dumps(app.openapi()).encode()))
+        return Response(made[0], media_type="application/json")
 
 
 def _add_state(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
@@ -223,7 +236,10 @@ def _add_commands(app: FastAPI, application: VisionApplication, operations: Oper
         return {"accepted": True, "reason": answer.reason.name.lower()} | state_json(application)
 
     async def ending(code: CommandCode) -> JSON:
-        """The command first, then the end of the running operation, answered or not."""
+        """The command first, then the end of the running operation, answered or not.
+
+        The door answers the same (``vision_pc.shell.stops``), where it can send the stop itself.
+        """
         try:
             return await commanded(code)
         finally:

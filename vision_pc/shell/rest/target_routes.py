@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import FastAPI, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from foundation.rest.problems import respond
+from foundation.rest.server import respond
 from protocol.errors import LinkLost
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice

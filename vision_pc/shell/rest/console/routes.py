@@ -1,7 +1,4 @@
-"""The console's routes: its page, one stream of state, one of pictures, and who is asking.
-
-They run in the loop that speaks HTTP. Only ``glimpse``, which copies references, runs where the link is.
-"""
+"""The console's routes: its page, one stream of state, one of pictures, and who is asking."""
 
 import asyncio
 import contextlib
@@ -12,7 +9,7 @@ import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,14 +19,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from foundation.periods import take_policy
-from foundation.rest.files import Home, PageFiles, add_files
-from foundation.rest.tokens import Role
+from foundation.rest.access import Role
+from foundation.rest.files import PageFiles, add_files
 from protocol.errors import LongreachError, RequestRefused
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice
 from vision_pc.application.console.overview import (
-    Glimpse,
     MeasuringPace,
     Overview,
     ellipse_of,
@@ -153,7 +149,6 @@ class Broadcast:
                 await asyncio.sleep(max(self._period_s - (loop.time() - began_s), 0.0))
 
 
-T = TypeVar("T")
 _STATE_PERIOD_S = 0.1
 _MOST_OF_STATE, _MOST_OF_PICTURES = 64, 16
 _OPERATIONS_SHOWN = 8
@@ -175,34 +170,21 @@ class AccessView(BaseModel):
 class Console:
     """What all open consoles share."""
 
-    def __init__(
-        self, application: VisionApplication, operations: Operations, overview: Overview, home: Home | None
-    ) -> None:
-        self._application, self._operations, self._overview, self._home = (
-            application, operations, overview, home
-        )  # fmt: skip
+    def __init__(self, application: VisionApplication, operations: Operations, overview: Overview) -> None:
+        self._application, self._operations, self._overview = application, operations, overview
         self._instance = uuid.uuid4().hex[:8]
         self._started_s = time.time()
         self._number = 0
         self._failed: set[str] = set()
         self._pace = MeasuringPace()
         self._measuring: asyncio.Task[None] | None = None
-        pictures = LivePictures(self._pair_after)
+        pictures = LivePictures(application.camera.pair_after)
         self.state = Broadcast(self._snapshot, _STATE_PERIOD_S, _MOST_OF_STATE, "the state")
         self.pictures = Broadcast(pictures.next_message, PICTURE_PERIOD_S, _MOST_OF_PICTURES, "the pictures")
 
-    async def _at_home(self, function: Callable[..., Awaitable[T]], *given: Any) -> T:
-        return await (function(*given) if self._home is None else self._home.call(function, *given))
-
-    async def _pair_after(self, capture_ns: int) -> Any:
-        return await self._at_home(self._application.camera.pair_after, capture_ns)
-
-    async def _glimpse(self) -> tuple[Glimpse, list[Operation]]:
-        return glimpse(self._application), self._operations.list()[-_OPERATIONS_SHOWN:]
-
     async def _snapshot(self) -> bytes:
         """The next event of the stream of state."""
-        seen, operations = await self._at_home(self._glimpse)
+        seen, operations = glimpse(self._application), self._operations.list()[-_OPERATIONS_SHOWN:]
         now_s = time.time()
         self._overview.note(now_s, seen)
         self._note_failures(operations)
@@ -242,7 +224,7 @@ class Console:
 
     async def _measure(self) -> None:
         with contextlib.suppress(LongreachError):
-            await self._at_home(self._application.camera.observe)
+            await self._application.camera.observe()
 
 
 def add_console(app: FastAPI, console: Console, emulator_face: str = "") -> None:
@@ -252,9 +234,10 @@ def add_console(app: FastAPI, console: Console, emulator_face: str = "") -> None
     @app.get("/access", tags=_TAG, summary="What the token that was sent lets its holder do")
     async def access(request: Request) -> AccessView:
         """Where no token is wanted, everybody operates."""
-        role = request.scope.get("longreach.role")
-        role_now, wanted = role or Role.OPERATE, role is not None
-        return AccessView(role=role_now, token_wanted=wanted, emulator_face=emulator_face or None)
+        role = request.headers.get("longreach-role")  # the door's
+        return AccessView(
+            role=Role(role or Role.OPERATE), token_wanted=bool(role), emulator_face=emulator_face or None
+        )
 
     @app.get("/events", tags=_TAG, summary="All that a console shows, ten times a second (event stream)",
              response_class=StreamingResponse,

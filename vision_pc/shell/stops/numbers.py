@@ -1,0 +1,57 @@
+"""The numbers of the reference link that vision PC and door share: a page of memory, each number whole."""
+
+import mmap
+import os
+
+_SEQUENCE, _COMMAND_ID, _COUNT, _STATES, _GROUP, _FAULT, _FLAGS = range(7)
+_ANSWERS, _KEPT = 8, 32  # pairs of command id and reason, in a ring
+
+
+class SharedNumbers:
+    """Written by the vision PC, read by the door. ``descriptor``: of the memory, from ``new_memory``."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._numbers = memoryview(mmap.mmap(descriptor, mmap.PAGESIZE)).cast("Q")
+
+    @property
+    def next_numbers(self) -> tuple[int, int]:
+        """The number of the link's next datagram, and the id of its next request."""
+        return self._numbers[_SEQUENCE], self._numbers[_COMMAND_ID]
+
+    @next_numbers.setter
+    def next_numbers(self, numbers: tuple[int, int]) -> None:
+        self._numbers[_SEQUENCE], self._numbers[_COMMAND_ID] = numbers
+
+    def answer(self, command_id: int, reason: int) -> None:
+        """Note that the controller has answered a request."""
+        at = _ANSWERS + 2 * (self._numbers[_COUNT] % _KEPT)
+        self._numbers[at + 1], self._numbers[at] = (
+            reason,
+            command_id,
+        )  # the reason first: the id says it is there
+        self._numbers[_COUNT] += 1
+
+    def reason_of(self, command_id: int) -> int | None:
+        """What it answered; None while it has not."""
+        for at in range(_ANSWERS, _ANSWERS + 2 * _KEPT, 2):
+            if self._numbers[at] == command_id:
+                return self._numbers[at + 1]
+        return None
+
+    def tell_state(self, group_state: int, fault: int, flags: int) -> None:
+        """Note what the newest STATE says."""
+        self._numbers[_GROUP], self._numbers[_FAULT], self._numbers[_FLAGS] = group_state, fault, flags
+        self._numbers[_STATES] += 1
+
+    @property
+    def state(self) -> tuple[int, int, int, int]:
+        """How many states were told; group state, fault and flags of the newest."""
+        told, group_state, fault, flags = self._numbers[_STATES : _FLAGS + 1]
+        return told, group_state, fault, flags
+
+
+def new_memory() -> int:
+    """The descriptor of a page that a child may inherit."""
+    descriptor = os.memfd_create("longreach-stops")
+    os.ftruncate(descriptor, mmap.PAGESIZE)
+    return descriptor
