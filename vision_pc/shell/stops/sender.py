@@ -56,16 +56,20 @@ class StopSender:
         self._told()
         if self._credentials is None or self._link is None:
             return None
-        command_id = max(self._numbers.next_numbers[1], self._next_id) + _AHEAD
-        self._next_id = command_id + 1
-        stop = Command(command_id, CODES[path])
-        self._send(stop)
-        return self._answer(stop, self._credentials)
+        return self._answer(self._begun(CODES[path]), self._credentials)
 
     def tell(self, **said: Any) -> None:
         """Tell the vision PC; where it is not heard, that is lost."""
         with contextlib.suppress(OSError):
             self._control.send(json.dumps(said).encode())
+
+    def _begun(self, code: CommandCode) -> Command:
+        """A stop that is sent, under an id of its own."""
+        command_id = max(self._numbers.next_numbers[1], self._next_id) + _AHEAD
+        self._next_id = command_id + 1
+        stop = Command(command_id, code)
+        self._send(stop)
+        return stop
 
     def _send(self, stop: Command) -> None:
         assert self._credentials is not None
@@ -76,10 +80,10 @@ class StopSender:
         channel = self._credentials.channel(self._key, sequence + _AHEAD)
         datagram = channel.encoded(stop, time.monotonic_ns())
         self._next_sequence = channel.next_sequence
-        # Told first: the vision PC knows of it before its answer comes.
-        self.tell(stop=stop.command_id, code=stop.code, next_sequence=self._next_sequence)
         with contextlib.suppress(OSError):  # nobody listens there: it is sent again
             self._link.send(datagram)
+        # Told after that, or the vision PC's next datagram comes before this one, which is then late.
+        self.tell(stop=stop.command_id, code=stop.code, next_sequence=self._next_sequence)
 
     async def _answer(self, stop: Command, credentials: Credentials) -> tuple[int, Refusal]:
         """What the controller answers, as a response."""
@@ -91,9 +95,11 @@ class StopSender:
             reason = self._numbers.reason_of(stop.command_id)
             if reason in (Reason.ACCEPTED, Reason.ALREADY_DONE):
                 return HTTPStatus.OK, await self._accepted(Reason(reason))
-            if reason is not None:
+            if reason == Reason.OVERTAKEN:  # by another request: it came late
+                stop = self._begun(CommandCode(stop.code))
+            elif reason is not None:
                 return _as_response(problem_of(refusal(name, Reason(reason), 0.0, 0.0, ""), {}))
-            if loop.time() > again_s:
+            elif loop.time() > again_s:
                 again_s += _AGAIN_S
                 self._send(stop)
         why = f"{name} was sent; the controller has not answered within {_WITHIN_S:g} s"
