@@ -172,7 +172,8 @@ def _break(launch: Launch, orders: Sequence[FaultOrder]) -> None:
     face = launch.settings.plant_service.fault_face
     token = read_secret(face.tokens.operate, "operate token")
     for order in orders:
-        with httpx.Client(base_url=f"http://{face.host}:{face.port}", headers=bearer(token)) as client:
+        url = f"http://{face.host}:{face.port}"
+        with httpx.Client(base_url=url, headers=bearer(token), trust_env=False) as client:
             answer = client.post("/faults", json=order.model_dump(mode="json"))
         if not answer.is_success:
             raise error_of(answer.json())

@@ -157,7 +157,11 @@ class RestRig:
     """
 
     def __init__(self, url: str, token: bytes | None = None) -> None:
-        self._client = httpx.Client(base_url=url, timeout=_TIMEOUT_S, headers=bearer(token))
+        self._client = (
+            httpx.Client(  # the token is for the service alone, whatever proxy the environment names
+                base_url=url, timeout=_TIMEOUT_S, headers=bearer(token), trust_env=False
+            )
+        )
 
     def close(self) -> None:
         """Close the connection."""

@@ -16,9 +16,9 @@ from foundation.event_log import EventLog
 from foundation.incidents import incidents_here
 from foundation.live.feed import open_show
 from foundation.periods import Limit, Tally
-from foundation.rest.no_token import WARNING, access_without_token, without_token
 from foundation.rest.problems import RefusalLog
 from foundation.rest.server import RestServer, service_socket
+from foundation.rest.tokens import WARNING, access_without_token, without_token
 from foundation.secret_source import bound_tcp, read_key
 from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
@@ -34,11 +34,11 @@ from vision_pc.application.program import Program
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.camera_eyes import MonotonicClock, open_eyes
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.link.machine_watch import MachineWatch
-from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.link.udp_endpoint import MachineWatch, UdpEndpoint
 from vision_pc.shell.recording.opening import open_recording
 from vision_pc.shell.recording.recorded_ports import record_programs
-from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
+from vision_pc.shell.rest.api import STOPS, create_app
+from vision_pc.shell.rest.console.routes import PUBLIC
 from vision_pc.shell.rest.metrics import told
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.stops.door_process import DoorProcess

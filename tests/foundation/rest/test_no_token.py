@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 from fastapi import FastAPI
 
-from foundation.rest import no_token
+from foundation.rest import tokens as no_token
 from foundation.rest.access import Access
-from foundation.rest.no_token import NO_TOKEN, access_without_token, gateways
 from foundation.rest.server import install_problems
-from foundation.rest.tokens import TokenSources
+from foundation.rest.tokens import NO_TOKEN, TokenSources, access_without_token, gateways
 from foundation.secret_source import SecretSource, write_new_secret
 from protocol.errors import ConfigurationError
 from tests.foundation.rest.serving import serving

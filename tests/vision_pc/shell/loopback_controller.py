@@ -76,9 +76,9 @@ class LoopbackController(asyncio.DatagramProtocol):
         """The controller's own clock: ahead of everybody else's."""
         return time.monotonic_ns() + self.clock_ahead_ns
 
-    async def start(self, port: int = 0) -> None:
+    async def start(self, port: int = 0, address: str = "127.0.0.1") -> None:
         loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=("127.0.0.1", port))
+        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(address, port))
         self.port = self._transport.get_extra_info("sockname")[1]
         self._task = asyncio.create_task(self._run())
 

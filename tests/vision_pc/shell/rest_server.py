@@ -11,7 +11,8 @@ from foundation.rest.access import Access, Role
 from foundation.rest.server import RestServer, door, service_socket
 from tests.vision_pc.synthetic_station import Bench, bench
 from vision_pc.application.console.advice import advice
-from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
+from vision_pc.shell.rest.api import STOPS, create_app
+from vision_pc.shell.rest.console.routes import PUBLIC
 
 
 @contextlib.contextmanager

@@ -2,6 +2,8 @@
 
 import asyncio
 import io
+import subprocess
+import sys
 import time
 from collections.abc import AsyncIterator
 
@@ -12,7 +14,9 @@ from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import ANY_ARM, Command, ReferencePose
+from tests.support.paths import ROOT
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
+from tests.vision_pc.shell.swapped_addresses import PLACES
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
@@ -248,3 +252,13 @@ async def test_commands_that_wait_end_with_the_link(
     with pytest.raises(LinkLost) as lost:
         await link.request(Command(0, CommandCode.ENABLE))
     assert lost.value.cause in {"link.link_timeout", "link.unanswered"}
+
+
+def test_a_controller_that_comes_back_at_another_address_is_found() -> None:
+    """In namespaces, where the name can stand for one address after another, IPv6 among them."""
+    script = f"ip link set lo up && {sys.executable} -m {__package__}.swapped_addresses"
+    inside = ["unshare", "-Urnm", "sh", "-c", script]
+    done = subprocess.run(inside, cwd=ROOT, capture_output=True, text=True, timeout=120.0, check=False)
+    if "unshare failed" in done.stderr or "RTNETLINK" in done.stderr:
+        pytest.skip("no namespaces of our own here: a changed address is NOT tried")
+    assert done.stdout.splitlines() == [f"found at {address}" for address in PLACES], done.stderr

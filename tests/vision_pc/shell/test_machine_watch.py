@@ -12,7 +12,7 @@ from protocol.session_events import SessionLost, StateReceived
 from tests.vision_pc.synthetic_station import bench
 from vision_pc.application.console.overview import Overview, glimpse
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.link.machine_watch import MachineWatch
+from vision_pc.shell.link.udp_endpoint import MachineWatch
 
 DARK = np.zeros((2, 2), np.uint8)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import httpx
 import pytest
 
+from testbed.realtime.rest_rig import RestRig
 from tests.vision_pc.shell.rest_server import rest_face, served_bench
 from vision_pc.shell.rest.operation_routes import MAX_FOLLOWERS
 
@@ -119,3 +120,16 @@ def bench_status(port: int, operation: str) -> int:
         return connection.getresponse().status
     finally:
         connection.close()
+
+
+def test_our_own_clients_ask_no_proxy_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The token that operates would go to whoever is named there."""
+    with socket.create_server(("127.0.0.1", 0)) as proxy, rest_face() as url:
+        monkeypatch.setenv("http_proxy", f"http://127.0.0.1:{proxy.getsockname()[1]}")
+        monkeypatch.setenv("ALL_PROXY", f"http://127.0.0.1:{proxy.getsockname()[1]}")
+        rig = RestRig(url)
+        assert rig.state()["group_state"] == "standby"
+        rig.close()
+        proxy.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            proxy.accept()

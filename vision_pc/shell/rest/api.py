@@ -25,7 +25,7 @@ from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON, calibration_json, look_json, seen_json
-from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
+from vision_pc.shell.rest.console.routes import Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.metrics import add_metrics
 from vision_pc.shell.rest.operation_routes import add_programs, add_resources, add_unknown
@@ -72,7 +72,6 @@ def _seconds(shown: str) -> float:
 
 
 STOPS = ("/stop", "/disable", "/emergency-stop")  # whoever may look may stop
-PUBLIC = PAGE.paths  # the console asks for the token itself
 DESCRIPTION = """
 Drives the tool to the object: orientation adjustment, local calibration by motion, look-then-move.
 

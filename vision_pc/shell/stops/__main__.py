@@ -15,9 +15,8 @@ import uvloop
 from foundation.rest.door import Door
 from foundation.rest.guard import Guard
 from vision_pc.application.console.advice import advice
-from vision_pc.shell.stops.given import Given
-from vision_pc.shell.stops.numbers import SharedNumbers
 from vision_pc.shell.stops.sender import StopSender, ToldRefusals
+from vision_pc.shell.stops.shared import Given, SharedNumbers
 
 
 async def _serve(given: Given, listener: socket.socket, sender: StopSender) -> None:

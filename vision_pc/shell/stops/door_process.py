@@ -23,8 +23,7 @@ from protocol.session_events import (
     StateReceived,
 )
 from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
-from vision_pc.shell.stops.given import MOST_BYTES, Given
-from vision_pc.shell.stops.numbers import SharedNumbers, new_memory
+from vision_pc.shell.stops.shared import MOST_BYTES, Given, SharedNumbers, new_memory
 
 
 class DoorProcess:

@@ -21,8 +21,7 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, refusal
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, Command
 from vision_pc.application.console.advice import advice
-from vision_pc.shell.stops.given import MOST_BYTES
-from vision_pc.shell.stops.numbers import SharedNumbers
+from vision_pc.shell.stops.shared import MOST_BYTES, SharedNumbers
 
 CODES = {
     "/stop": CommandCode.STOP,

@@ -8,7 +8,7 @@ import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 
 from foundation.periods import take_policy
 from foundation.rest.access import Role
-from foundation.rest.files import PageFiles, add_files
+from foundation.rest.files import PageFiles, add_files, public_paths
 from protocol.errors import LongreachError, RequestRefused
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
@@ -154,7 +154,8 @@ _MOST_OF_STATE, _MOST_OF_PICTURES = 64, 16
 _OPERATIONS_SHOWN = 8
 _TAG: list[Any] = ["console"]
 
-PAGE = PageFiles(files("vision_pc.shell.rest.console") / "page", "/console", "/")
+_PAGE = Path(__file__).with_name("page"), "/console", "/"
+PUBLIC = public_paths(*_PAGE)  # it asks for the token itself
 
 
 class AccessView(BaseModel):
@@ -229,7 +230,7 @@ class Console:
 
 def add_console(app: FastAPI, console: Console, emulator_face: str = "") -> None:
     """Adds the page at ``/`` and what it lives on to ``app``. ``emulator_face``: an address it may ask."""
-    add_files(app, PAGE, emulator_face)
+    add_files(app, PageFiles(*_PAGE, emulator_face))
 
     @app.get("/access", tags=_TAG, summary="What the token that was sent lets its holder do")
     async def access(request: Request) -> AccessView:

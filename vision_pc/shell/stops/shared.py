@@ -1,8 +1,13 @@
-"""The numbers of the reference link that vision PC and door share: a page of memory, each number whole."""
+"""What vision PC and door share: settings at the start, and the link's numbers in a page of memory."""
 
 import mmap
 import os
+from typing import NamedTuple
 
+from foundation.rest.access import Access
+from protocol.authentication import LinkKey
+
+MOST_BYTES = 1 << 16  # of a message between the two
 _SEQUENCE, _COMMAND_ID, _COUNT, _STATES, _GROUP, _FAULT, _FLAGS = range(7)
 _ANSWERS, _KEPT = 8, 32  # pairs of command id and reason, in a ring
 
@@ -55,3 +60,11 @@ def new_memory() -> int:
     descriptor = os.memfd_create("longreach-stops")
     os.ftruncate(descriptor, mmap.PAGESIZE)
     return descriptor
+
+
+class Given(NamedTuple):
+    """``service``: the path of the socket behind the door; ``key``: of the reference link."""
+
+    service: str
+    access: Access
+    key: LinkKey | None
