@@ -91,8 +91,11 @@ demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict aga
 test: $(DEV_STAMP)  ## the product's tests, three and a half minutes of two cores (ARGS="-k kinematics")
 	@$(PYTEST) $(LABORATORY:%=--ignore=%) $(ARGS)
 
-test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages
+# One budget of retries for all runs (tests/support/real_time.py).
+test-all: export LONGREACH_RETRIED := $(or $(LONGREACH_RETRIED),$(shell mktemp))
+test-all: test  ## those, then the laboratory's: experiments, mutants, browser, peers, packaging, pages, containers
 	@$(PYTEST) $(LABORATORY) --ignore=$(BRIDGE_TESTS) $(ARGS)
+	@$(BIN)/python -m pytest -m docker --timeout 1800 -rs tests/integration/test_containers.py $(ARGS)
 	@$(BIN)/python -m pytest $(BRIDGE_TESTS) $(ARGS)
 
 other-machines: $(DEV_STAMP)  ## numerical tests as four other processors compute, and with inputs off by 1e-9 (ARGS="nehalem 3", "--today")
@@ -155,8 +158,15 @@ types: $(DEV_STAMP)  ## mypy, strict
 imports: $(DEV_STAMP)  ## who may import whom
 	$(BIN)/lint-imports
 
-pythons: $(DEV_STAMP)  ## wheel, lock and demo in a fresh environment of every Python from 3.11 to 3.13 that is here
-	$(BIN)/python -m pytest -m experiment --timeout 3600 -s -rs tests/packaging/test_pythons.py $(ARGS)
+# Each has an environment of its own, .venv-3.12 or .venv-3.13; pyenv keeps what is not on the path.
+pythons:  ## a demonstration and `make test` on another Python that is here: 3.12 and 3.13 by turns of the day, or VERSION=3.13
+	@version=$(or $(VERSION),3.$$((12 + 10#$$(date +%j) % 2))); \
+	for python in $$(command -v python$$version) $$(ls -d $$HOME/.pyenv/versions/$$version.*/bin/python 2> /dev/null); do \
+		"$$python" -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$$version')" 2> /dev/null || continue; \
+		$(MAKE) VENV=.venv-$$version PYTHON=$$python demo ARGS="--lockstep --seed 1"; \
+		exec $(MAKE) VENV=.venv-$$version PYTHON=$$python test ARGS=$(ARGS); \
+	done; \
+	echo "Python $$version is not here: NOT tried with it"
 
 compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object with compose
 	$(BIN)/python -m pytest -m docker --timeout 1800 -s $(ARGS)

@@ -66,8 +66,8 @@ def test_a_block_prints_what_the_page_says(text: str, block: Block, tmp_path: Pa
         text=True,
         timeout=800,
     )
-    if late := re.search(r"stopped by: (link\.\w+|fault\.\w+|refused\.fault_\w+)", done.stdout):
-        pytest.skip(f"this machine did not keep up with real time: {late[1]}")
+    if done.returncode and (late := re.search(r".*machine is overloaded.*", done.stdout + done.stderr)):
+        pytest.skip(f"the testbed says so itself: {late[0].strip()}")
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert missing(block.printed, done.stdout, WITHIN[text]) == [], done.stdout[-2000:]
 

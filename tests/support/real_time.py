@@ -2,16 +2,24 @@
 
 A test marked ``realtime`` talks over real sockets with deadlines or starts real services; other work on the
 machine can make it late. pytest-rerunfailures gives it, and no other test, a second try, and prints what
-failed. More than three such tests in a run fail it.
+failed. More than three such tests fail a run; runs that share the file LONGREACH_RETRIED share the three.
+What was deselected is named at the end, with the command that runs it.
 """
 
 import gc
+import os
 import sys
 import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 LIMIT = 3
+RETRIED = "LONGREACH_RETRIED"
+RUN_BY = {"bench": "make bench", "docker": "make compose-test", "experiment": "make experiments"}
+_deselected: Counter[str] = Counter()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -38,18 +46,52 @@ def pytest_runtest_logfinish() -> None:
         gc.collect()
 
 
+def pytest_deselected(items: list[pytest.Item]) -> None:
+    """Count them by mark."""
+    for item in items:
+        marks = [mark for mark in RUN_BY if item.get_closest_marker(mark) is not None]
+        _deselected[marks[0] if marks else "-k"] += 1
+
+
+class OfWorkers:
+    """pytest-xdist's workers say what they deselected: each the same."""
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any, error: object) -> None:
+        _deselected.update({} if _deselected else getattr(node, "workeroutput", {}).get("deselected", {}))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Hear the workers, where there are some."""
+    config.pluginmanager.register(OfWorkers())
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Name the tests that were retried."""
+    """Name the tests that were retried, and what was not run."""
     if retried := _retried(terminalreporter):
         line = f"{len(retried)} retried, at most {LIMIT} may be: {', '.join(retried)}"
         terminalreporter.write_sep("=", line)
+    for mark, count in sorted(_deselected.items()):
+        terminalreporter.write_line(f"deselected: {count} {mark} ({RUN_BY.get(mark, 'as asked')})")
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail a run in which more than ``LIMIT`` tests were retried."""
+    """Fail a run in which, with those that it shares a file with, more than ``LIMIT`` tests were retried."""
+    output = getattr(session.config, "workeroutput", None)
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    if reporter is not None and len(_retried(reporter)) > LIMIT and session.exitstatus == pytest.ExitCode.OK:
-        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    if output is not None:
+        output["deselected"] = dict(_deselected)
+    elif reporter is not None:
+        retried = [*_retried_before(), *_retried(reporter)]
+        if RETRIED in os.environ:
+            Path(os.environ[RETRIED]).write_text("".join(f"{test}\n" for test in retried))
+        if len(retried) > LIMIT and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def _retried_before() -> list[str]:
+    path = Path(os.environ.get(RETRIED, os.devnull))
+    return path.read_text().splitlines() if path.exists() else []
 
 
 def _retried(reporter: pytest.TerminalReporter) -> list[str]:
