@@ -4,11 +4,12 @@ No clock and no socket: times are handed in. Beckhoff, TE1000: commands, index g
 There is no authentication in ADS; ``writable`` lets whoever is connected change numbers.
 """
 
+import itertools
 import struct
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
-from controller_st.ads_frames import MAX_FRAME, AdsCommand, AdsError, AmsAddress, AmsFrame, notification
+from controller_st.ads_frames import ADS_COMMAND, MAX_FRAME, AdsCommand, AdsError, AmsAddress, AmsFrame
 from controller_st.ads_symbols import DATA_GROUP, Symbol, SymbolTable, is_number, type_entry
 from structured_text.memory import MemoryView
 
@@ -37,6 +38,7 @@ _RUN = 5  # ADSSTATE_RUN
 _ON_CHANGE, _CYCLIC = 4, 3
 _NAME = b"Longreach ST PLC"
 _HUNDRED_NS = 100
+_What = TypeVar("_What")
 
 
 class Refused(Exception):
@@ -45,6 +47,17 @@ class Refused(Exception):
     def __init__(self, code: AdsError) -> None:
         super().__init__(code.name)
         self.code = code
+
+
+def _require(holds: bool, code: AdsError) -> None:
+    if not holds:
+        raise Refused(code)
+
+
+def _found(what: _What | None, code: AdsError = AdsError.SYMBOL_NOT_FOUND) -> _What:
+    if what is None:
+        raise Refused(code)
+    return what
 
 
 class _Watch(NamedTuple):
@@ -65,12 +78,8 @@ class AdsClient:
         self.watches: dict[int, _Watch] = {}
         self.peer: tuple[AmsAddress, AmsAddress] | None = None
         self.refused = 0
-        self._numbers = 0
-
-    def number(self) -> int:
-        """A number that no handle of this connection has had."""
-        self._numbers += 1
-        return self._numbers
+        self.numbers = itertools.count(1)
+        """Numbers that no handle of this connection has had."""
 
 
 class AdsDevice:
@@ -125,7 +134,8 @@ class AdsDevice:
             return None
         stamp = wall_ns // _HUNDRED_NS + 116_444_736_000_000_000  # 100 ns since 1601
         body = struct.pack("<IQI", 1, stamp, len(samples)) + b"".join(samples)
-        return notification(*client.peer, struct.pack("<I", len(body)) + body)
+        data = struct.pack("<I", len(body)) + body
+        return AmsFrame(*client.peer, AdsCommand.NOTIFICATION, ADS_COMMAND, 0, 0, data)
 
     def _read_command(self, client: AdsClient, data: bytes, _: int) -> bytes:
         group, offset, length = struct.unpack("<III", data)
@@ -134,35 +144,30 @@ class AdsDevice:
 
     def _write_command(self, client: AdsClient, data: bytes, _: int) -> bytes:
         group, offset, length = struct.unpack_from("<III", data)
-        if len(data) != 12 + length:
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(len(data) == 12 + length, AdsError.INVALID_SIZE)
         self._write(client, group, offset, data[12:])
         return struct.pack("<I", 0)
 
     def _read_write_command(self, client: AdsClient, data: bytes, _: int) -> bytes:
         group, offset, length, written = struct.unpack_from("<IIII", data)
-        if len(data) != 16 + written:
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(len(data) == 16 + written, AdsError.INVALID_SIZE)
         is_sum = group >= _SUM_READ
         parts = data[16:]
         found = (
             self._summed(client, group, offset, parts) if is_sum else self._read_write(client, group, parts)
         )
-        if len(found) > min(length, MAX_FRAME // 2):
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(len(found) <= min(length, MAX_FRAME // 2), AdsError.INVALID_SIZE)
         return struct.pack("<II", 0, len(found)) + found
 
     def _read(self, client: AdsClient, group: int, offset: int, length: int) -> bytes:
         if group == _VALUE_BY_HANDLE:
-            symbol = self._of_handle(client, offset)
-            if length < symbol.type.size:
-                raise Refused(AdsError.INVALID_SIZE)
+            symbol = _found(client.handles.get(offset))
+            _require(length >= symbol.type.size, AdsError.INVALID_SIZE)
             return self._value(symbol)
         if group == DATA_GROUP:
             return self._bytes(offset, length)
         whole = self._described(group)
-        if length < len(whole):
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(length >= len(whole), AdsError.INVALID_SIZE)
         return whole
 
     def _described(self, group: int) -> bytes:
@@ -175,57 +180,43 @@ class AdsDevice:
             _TYPE_UPLOAD: table.type_upload,
             _UPLOAD_INFO_2: struct.pack("<IIIIII", *counts, 0, 0),
         }
-        if group not in described:
-            raise Refused(AdsError.INVALID_GROUP)
+        _require(group in described, AdsError.INVALID_GROUP)
         return described[group]
 
     def _read_write(self, client: AdsClient, group: int, written: bytes) -> bytes:
         name = written.split(b"\0")[0].decode("latin-1")
         if group == _TYPE_BY_NAME:
-            of = self.table.type_named(name)
-            if of is None:
-                raise Refused(AdsError.SYMBOL_NOT_FOUND)
-            return type_entry(of)
-        if group not in (_HANDLE_BY_NAME, _VALUE_BY_NAME, _INFO_BY_NAME):
-            raise Refused(AdsError.INVALID_GROUP)
-        symbol = self.table.find(name)
-        if symbol is None:
-            raise Refused(AdsError.SYMBOL_NOT_FOUND)
+            return type_entry(_found(self.table.types.get(name.strip().upper())))  # type: ignore[arg-type]
+        _require(group in (_HANDLE_BY_NAME, _VALUE_BY_NAME, _INFO_BY_NAME), AdsError.INVALID_GROUP)
+        symbol = _found(self.table.find(name))
         if group == _INFO_BY_NAME:
             return symbol.entry
         if group == _VALUE_BY_NAME:
             return self._value(symbol)
-        if len(client.handles) >= HANDLES:
-            raise Refused(AdsError.NO_MEMORY)
-        handle = client.number()
+        _require(len(client.handles) < HANDLES, AdsError.NO_MEMORY)
+        handle = next(client.numbers)
         client.handles[handle] = symbol
         return struct.pack("<I", handle)
 
     def _write(self, client: AdsClient, group: int, offset: int, value: bytes) -> None:
         if group == _RELEASE:
-            if client.handles.pop(struct.unpack("<I", value)[0], None) is None:
-                raise Refused(AdsError.SYMBOL_NOT_FOUND)
+            _found(client.handles.pop(struct.unpack("<I", value)[0], None))
             return
-        if group not in (_VALUE_BY_HANDLE, DATA_GROUP) or not self._writable:
-            raise Refused(AdsError.INVALID_ACCESS)
-        symbol = self.table.at(offset, len(value)) if group == DATA_GROUP else self._of_handle(client, offset)
-        if symbol is None:
-            raise Refused(AdsError.INVALID_OFFSET)
-        if len(value) != symbol.type.size:
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(group in (_VALUE_BY_HANDLE, DATA_GROUP) and self._writable, AdsError.INVALID_ACCESS)
+        by_place = group == DATA_GROUP
+        known = self.table.at(offset, len(value)) if by_place else client.handles.get(offset)
+        symbol = _found(known, AdsError.INVALID_OFFSET if by_place else AdsError.SYMBOL_NOT_FOUND)
+        _require(len(value) == symbol.type.size, AdsError.INVALID_SIZE)
         is_bool = symbol.type.name == "BOOL" and value in (b"\0", b"\1")
-        if not is_bool and not is_number(symbol.type):
-            raise Refused(AdsError.INVALID_DATA)
+        _require(is_bool or is_number(symbol.type), AdsError.INVALID_DATA)
         self._data[symbol.offset : symbol.offset + len(value)] = value
 
     def _summed(self, client: AdsClient, group: int, count: int, written: bytes) -> bytes:
         """Of ``count`` reads, writes or both, each with a return code of its own."""
-        if group not in _SUM_HEADS:
-            raise Refused(AdsError.SERVICE_NOT_SUPPORTED)
+        _require(group in _SUM_HEADS, AdsError.SERVICE_NOT_SUPPORTED)
         form = _SUM_HEADS[group]
         at = form.size * count
-        if count > SUMMED or len(written) < at:
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(count <= SUMMED and len(written) >= at, AdsError.INVALID_SIZE)
         codes, values, length = [], [], 0
         for head in form.iter_unpack(written[:at]):
             part = b"" if group == _SUM_READ else written[at : at + head[-1]]
@@ -233,8 +224,7 @@ class AdsDevice:
             code, value = self._one_of_sum(client, group, head, part)
             values.append(value)
             length += len(value)
-            if length > MAX_FRAME // 2:
-                raise Refused(AdsError.INVALID_SIZE)
+            _require(length <= MAX_FRAME // 2, AdsError.INVALID_SIZE)
             codes.append(
                 struct.pack("<II", code, len(value)) if group == _SUM_READ_WRITE else struct.pack("<I", code)
             )
@@ -247,8 +237,7 @@ class AdsDevice:
         try:
             if group == _SUM_READ:
                 return AdsError.NONE, self._read(client, *head[:3]).ljust(min(head[2], MAX_FRAME), b"\0")
-            if len(part) != head[-1]:
-                raise Refused(AdsError.INVALID_SIZE)
+            _require(len(part) == head[-1], AdsError.INVALID_SIZE)
             if group == _SUM_READ_WRITE:
                 return AdsError.NONE, self._read_write(client, head[0], part)
             self._write(client, head[0], head[1], part)
@@ -258,38 +247,27 @@ class AdsDevice:
 
     def _add_notification(self, client: AdsClient, data: bytes, now_ns: int) -> bytes:
         group, offset, length, mode, _, cycle = struct.unpack_from("<IIIIII", data)
-        if mode not in (_ON_CHANGE, _CYCLIC):
-            raise Refused(AdsError.SERVICE_NOT_SUPPORTED)
-        if len(client.watches) >= NOTIFICATIONS:
-            raise Refused(AdsError.NO_MEMORY)
+        _require(mode in (_ON_CHANGE, _CYCLIC), AdsError.SERVICE_NOT_SUPPORTED)
+        _require(len(client.watches) < NOTIFICATIONS, AdsError.NO_MEMORY)
         if group == _VALUE_BY_HANDLE:
-            symbol = self._of_handle(client, offset)
+            symbol = _found(client.handles.get(offset))
             offset, length = symbol.offset, min(length, symbol.type.size)
         elif group != DATA_GROUP:
             raise Refused(AdsError.INVALID_GROUP)
-        if length > _WATCHED:
-            raise Refused(AdsError.INVALID_SIZE)
+        _require(length <= _WATCHED, AdsError.INVALID_SIZE)
         self._bytes(offset, length)
-        handle, every_ns = client.number(), max(_HUNDRED_NS * cycle, self._least_ns)
+        handle, every_ns = next(client.numbers), max(_HUNDRED_NS * cycle, self._least_ns)
         client.watches[handle] = _Watch((offset, length), mode == _ON_CHANGE, every_ns, now_ns, None)
         return struct.pack("<II", 0, handle)
 
     def _delete_notification(self, client: AdsClient, data: bytes, _: int) -> bytes:
-        if client.watches.pop(struct.unpack("<I", data)[0], None) is None:
-            raise Refused(AdsError.INVALID_NOTIFICATION)
+        _found(client.watches.pop(struct.unpack("<I", data)[0], None), AdsError.INVALID_NOTIFICATION)
         return struct.pack("<I", 0)
-
-    def _of_handle(self, client: AdsClient, handle: int) -> Symbol:
-        if handle not in client.handles:
-            raise Refused(AdsError.SYMBOL_NOT_FOUND)
-        return client.handles[handle]
 
     def _value(self, symbol: Symbol) -> bytes:
         return self._bytes(symbol.offset, symbol.type.size)
 
     def _bytes(self, offset: int, length: int) -> bytes:
-        if length > MAX_FRAME // 2:
-            raise Refused(AdsError.INVALID_SIZE)
-        if offset + length > len(self._data):
-            raise Refused(AdsError.INVALID_OFFSET)
+        _require(length <= MAX_FRAME // 2, AdsError.INVALID_SIZE)
+        _require(offset + length <= len(self._data), AdsError.INVALID_OFFSET)
         return bytes(self._data[offset : offset + length])

@@ -11,7 +11,7 @@ MAX_FRAME = 256 * 1024
 
 _TCP = struct.Struct("<HI")
 _AMS = struct.Struct("<6sH6sHHHIII")
-_RESPONSE, _ADS_COMMAND = 1, 4
+_RESPONSE, ADS_COMMAND = 1, 4
 
 
 class AdsError(IntEnum):
@@ -69,11 +69,11 @@ class AmsFrame(NamedTuple):
     @property
     def is_request(self) -> bool:
         """Whether it asks: an answer is never answered."""
-        return self.flags & (_RESPONSE | _ADS_COMMAND) == _ADS_COMMAND
+        return self.flags & (_RESPONSE | ADS_COMMAND) == ADS_COMMAND
 
     def answered(self, data: bytes, error: int = 0) -> "AmsFrame":
         """The answer to it."""
-        flags = _RESPONSE | _ADS_COMMAND
+        flags = _RESPONSE | ADS_COMMAND
         return AmsFrame(self.source, self.target, self.command, flags, error, self.invoke_id, data)
 
     @property
@@ -84,11 +84,6 @@ class AmsFrame(NamedTuple):
             *to, *by, self.command, self.flags, len(self.data), self.error, self.invoke_id
         )  # fmt: skip
         return _TCP.pack(0, len(head) + len(self.data)) + head + self.data
-
-
-def notification(target: AmsAddress, source: AmsAddress, data: bytes) -> AmsFrame:
-    """A frame that tells of samples and is not answered."""
-    return AmsFrame(target, source, AdsCommand.NOTIFICATION, _ADS_COMMAND, 0, 0, data)
 
 
 def cut(stream: bytearray) -> AmsFrame | None:

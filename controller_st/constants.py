@@ -129,46 +129,44 @@ def _arm(settings: ScanSettings) -> Iterable[str]:
     yield _array("LR_IK_OFFSETS", "LREAL", shape.offsets)
     for name in ("aside", "height", "inner", "outer", "bend", "hand", "s6", "c6", "s7", "c7"):
         yield _number(f"LR_IK_{name.upper()}", getattr(shape, name))
-    servo = settings.servo
+    servo, joints = settings.servo, settings.servo.joints
     yield _array("LR_DRIVES", "LREAL", servo.drives)
     yield _number("LR_RATED_SUPPLY", servo.rated.supply)
     yield _number("LR_RATED_RETURN", servo.rated.back)
     yield f"LR_LOAD_COMPENSATION : BOOL := {str(settings.load_compensation).upper()};"
-    joints = servo.joints
     for name in ("gain", "time_constant", "damping", "deadband", "flow_gain", "blend", "curve"):
         yield _array(f"LR_{name.upper()}", "LREAL", getattr(joints, name))
     for name in ("feed_forward", "high_pass", "limit"):
         yield _number(f"LR_SERVO_{name.upper()}", getattr(joints, name))
-    for name, value in servo.gains._asdict().items():
-        yield _number(f"LR_POSE_{name.upper()}", value)
+    yield from _all("POSE", servo.gains)
     yield _number("LR_SETTLED_TOLERANCE", servo.tolerance)
     yield _number("LR_SETTLED_TIME", settings.settled.time)
 
 
 def _limits(settings: ScanSettings) -> Iterable[str]:
-    planning, streaming, watch = settings.planning, settings.streaming, settings.supervision
+    planning, streaming = settings.planning, settings.streaming
     yield _array("LR_PLANNED_RANGE", "LREAL", planning.planned_range)
     yield _array("LR_JOINT_SPEEDS", "LREAL", planning.joint_speeds)
     yield _array("LR_WORKSPACE", "LREAL", planning.workspace.box)
     yield _number("LR_WORKSPACE_RADIUS", planning.workspace.radius_min)
     yield _number("LR_SINGULAR_VALUE_MIN", planning.singular_value_min)
     yield _array("LR_PEAKS", "LREAL", settings.motion.of_peaks())
-    for prefix, bundle in (("MOTION", settings.motion), ("STOP", settings.stop)):
-        for name, value in bundle._asdict().items():
-            yield _number(f"LR_{prefix}_{name.upper()}", value)
-    for name, values in streaming.axes._asdict().items():
-        yield _array(f"LR_STREAM_{name.upper()}", "LREAL", values)
-    for name, value in streaming._asdict().items():
-        if name != "axes":
-            yield _number(f"LR_STREAM_{name.upper()}", value)
-    for name, value in watch._asdict().items():
+    yield from _all("MOTION", settings.motion)
+    yield from _all("STOP", settings.stop)
+    yield from _all("STREAM", streaming.axes)
+    yield from _all("STREAM", streaming)
+    yield from _all("WATCH", settings.supervision)
+
+
+def _all(prefix: str, bundle: Any) -> Iterable[str]:
+    """Every number and array of a bundle, of a workspace its box and radius; the axes have a bundle."""
+    for name, value in bundle._asdict().items():
         if name == "workspace":
-            yield _array("LR_WATCH_WORKSPACE", "LREAL", value.box)
-            yield _number("LR_WATCH_WORKSPACE_RADIUS", value.radius_min)
-        elif isinstance(value, np.ndarray):
-            yield _array(f"LR_WATCH_{name.upper()}", "LREAL", value)
-        else:
-            yield _number(f"LR_WATCH_{name.upper()}", value)
+            yield _array(f"LR_{prefix}_WORKSPACE", "LREAL", value.box)
+            yield _number(f"LR_{prefix}_WORKSPACE_RADIUS", value.radius_min)
+        elif name != "axes":
+            made = f"LR_{prefix}_{name.upper()}"
+            yield _number(made, value) if np.ndim(value) == 0 else _array(made, "LREAL", value)
 
 
 def _number(name: str, value: float) -> str:
