@@ -3,6 +3,7 @@
 Beckhoff, TE1000 "TwinCAT 3 ADS": AdsSymbolEntry, AdsDatatypeEntry. All little-endian.
 """
 
+import contextlib
 import re
 import struct
 from collections.abc import Iterator
@@ -10,7 +11,16 @@ from typing import NamedTuple
 
 from structured_text.declarations import BUDGET, FAULT
 from structured_text.memory import MemoryView
-from structured_text.types import Array, Elementary, Enumeration, Structure, Type, base_of, is_scalar
+from structured_text.types import (
+    Array,
+    Elementary,
+    Enumeration,
+    Structure,
+    StructurePart,
+    Type,
+    base_of,
+    is_scalar,
+)
 
 DATA_GROUP = 0x4040  # the PLC's data area; offsets are bytes in the program's memory
 _CODES = {  # ADST_…: of the struct module's codes
@@ -27,6 +37,10 @@ class Symbol(NamedTuple):
     name: str
     type: Type
     offset: int
+
+    def part(self, part: StructurePart) -> "Symbol":
+        """A part of it, which is a structure."""
+        return Symbol(f"{self.name}.{part.name}", part.type, self.offset + part.offset)
 
     @property
     def entry(self) -> bytes:
@@ -75,10 +89,6 @@ class SymbolTable:
         """The variable that lies there as a whole; an element of an array once it was found by name."""
         known = (each for each in (*self.symbols, *self._found.values()) if each.offset == offset)
         return next((each for each in known if each.type.size == size), None)
-
-    def type_named(self, name: str) -> Type | None:
-        """The type that a symbol gives as ``name``."""
-        return self.types.get(name.strip().upper())
 
     def _walk(self, key: str) -> Symbol | None:
         at, found = 0, None
@@ -160,23 +170,17 @@ def _parts(symbol: Symbol) -> Iterator[Symbol]:
     yield symbol
     if isinstance(symbol.type, Structure):
         for part in symbol.type.fields.values():
-            yield from _parts(Symbol(f"{symbol.name}.{part.name}", part.type, symbol.offset + part.offset))
+            yield from _parts(symbol.part(part))
 
 
 def _part(symbol: Symbol, step: re.Match[str]) -> Symbol | None:
     of = symbol.type
     if step[1] is not None:
-        part = of.fields.get(step[1]) if isinstance(of, Structure) else None
-        if part is None:
-            return None
-        return Symbol(f"{symbol.name}.{part.name}", part.type, symbol.offset + part.offset)
-    indices = [int(each) for each in step[2].split(",")]
+        return symbol.part(of.fields[step[1]]) if isinstance(of, Structure) and step[1] in of.fields else None
+    indices = tuple(int(each) for each in step[2].split(","))
     if not isinstance(of, Array) or len(indices) != len(of.bounds):
         return None
-    place = 0
-    for index, (low, high) in zip(indices, of.bounds, strict=True):
-        if not low <= index <= high:
-            return None
-        place = place * (high - low + 1) + index - low
     inside = ",".join(map(str, indices))
-    return Symbol(f"{symbol.name}[{inside}]", of.of, symbol.offset + place * of.of.size)
+    with contextlib.suppress(IndexError):
+        return Symbol(f"{symbol.name}[{inside}]", of.of, symbol.offset + of.offset(indices))
+    return None

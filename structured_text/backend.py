@@ -12,17 +12,16 @@ from structured_text import lowering
 from structured_text import syntax as tree
 from structured_text.declarations import Declarations
 from structured_text.lowering import BYTE, FALSE, POINTER, number, register
-from structured_text.types import FLOAT, base_of, is_scalar, packed
-from structured_text.values import NOT_FINITE, Values
+from structured_text.types import align_of, base_of, is_scalar, packed
+from structured_text.values import FREE, Values
 
 MEMORY = "st_memory"
 
 
 class Backend:
-    """Builds one module. ``files`` numbers the texts; ``finite``: assigned numbers must be."""
+    """Builds one module. ``files`` numbers the texts."""
 
-    def __init__(self, names: Declarations, triple: str, layout: str, *, finite: bool) -> None:
-        self.finite = finite
+    def __init__(self, names: Declarations, triple: str, layout: str) -> None:
         self.module = ir.Module(name="structured_text")
         self.module.triple, self.module.data_layout = triple, layout
         self.files = sorted({unit.file for unit in names.units.values()})
@@ -31,11 +30,12 @@ class Backend:
         self.memory.initializer = ir.Constant(self.memory.value_type, None)
         self.memory.align, self.memory.type = 16, POINTER
         self.functions: dict[str, ir.Function] = {}
+        self.costs: dict[str, int] = {}
         self._constants: dict[bytes, ir.GlobalVariable] = {}
         for name, unit in names.units.items():
             self.functions[name] = ir.Function(self.module, self._signature(unit), f"st_{name}")
         for name, unit in names.units.items():
-            UnitBuilder(self, unit, self.functions[name]).build()
+            self.costs[name] = UnitBuilder(self, unit, self.functions[name]).build()
 
     def _signature(self, unit: tree.Unit) -> ir.FunctionType:
         result = ir.VoidType() if unit.result is None else register(unit.result)
@@ -66,8 +66,8 @@ class Backend:
 class UnitBuilder(Values):
     """Builds one function. ``build`` is called once."""
 
-    def build(self) -> None:
-        """The whole body."""
+    def build(self) -> int:
+        """The whole body; how many rounds and calls it takes at most, without those counted as it runs."""
         self._enter()
         self._body(self._unit.body)
         self.b.branch(self._exit)
@@ -83,6 +83,7 @@ class UnitBuilder(Values):
         else:
             result = self._places[self._unit.name.upper()]
             self.b.ret(self._loaded(result, self._unit.result))
+        return self._cost
 
     def _enter(self) -> None:
         given = list(self._function.args)
@@ -96,89 +97,67 @@ class UnitBuilder(Values):
             elif name in passed and variable.section != "VAR_INPUT":
                 self._places[name] = passed[name]
             else:
-                self._places[name] = self._local(variable, passed.get(name))
+                kind = variable.type
+                room = lowering.stored(kind) if is_scalar(kind) else ir.ArrayType(BYTE, kind.size)
+                self._places[name] = self._room(room, align_of(kind))
+                self._begins(variable, passed.get(name))
+        # Behind all inputs: a variable may be both.
+        for variable in self._unit.parameters():
+            if variable.section == "VAR_OUTPUT":
+                self._begins(variable, None)
 
-    def _local(self, variable: tree.Variable, given: Any) -> Any:
-        kind = variable.type
+    def _begins(self, variable: tree.Variable, given: Any) -> None:
+        """The variable's value when the unit is called: what is ``given``, or its initial one."""
+        kind, place = variable.type, self._places[variable.name.upper()]
         if is_scalar(kind):
-            place = self._room(lowering.stored(kind), kind.align)
             value = ir.Constant(register(kind), variable.initial or 0) if given is None else given
             self._store(value, place, kind)
-            return place
-        place = self._room(ir.ArrayType(BYTE, kind.size), kind.align)
-        if given is None:
-            data = packed(kind, variable.initial)
-            if any(data):
-                given = self._backend.constant(data)
+            return
+        data = packed(kind, variable.initial) if given is None else b""
+        if any(data):
+            given = self._backend.constant(data)
         if given is None:
             lowering.cleared(self.b, place, kind.size)
         else:
             lowering.copied(self.b, place, given, kind.size)
-        return place
 
     # statements
 
     def _body(self, body: tree.Body) -> None:
         for statement in body:
-            self._statement(statement)
+            _STATEMENTS[type(statement)](self, statement)
 
-    def _statement(self, statement: tree.Statement) -> None:
-        match statement:
-            case tree.Assignment():
-                self._assignment(statement)
-            case tree.CallStatement():
-                self._call(statement.call)
-            case tree.If():
-                self._if(statement)
-            case tree.Case():
-                self._case(statement)
-            case tree.For():
-                self._for(statement)
-            case tree.While():
-                self._while(statement)
-            case tree.Jump(word=word):
-                goal = self._exit if word == "RETURN" else self._loops[-1][word == "CONTINUE"]
-                self.b.branch(goal)
-                self._begin(self._new())
-
-    def _new(self) -> ir.Block:
-        return ir.Block(self._function, self._function.scope.deduplicate("b"))
-
-    def _begin(self, block: ir.Block) -> None:
-        self._function.blocks.append(block)
-        self.b.position_at_end(block)
+    def _jump(self, statement: tree.Jump) -> None:
+        word = statement.word
+        self.b.branch(self._exit if word == "RETURN" else self._loops[-1][word == "CONTINUE"])
+        self.b.position_at_end(self._function.append_basic_block())
 
     def _assignment(self, statement: tree.Assignment) -> None:
-        kind = statement.target.type
-        assert kind is not None
-        if is_scalar(kind):
-            value = self._value(statement.value)
-            if self._backend.finite and base_of(kind).kind == FLOAT:
-                size = self.b.call(lowering.intrinsic(self._backend.module, "fabs", value.type), [value])
-                finite = self.b.fcmp_ordered("<", size, ir.Constant(value.type, float("inf")))
-                self._require(finite, NOT_FINITE, statement.line)
-            self._store(value, self._place(statement.target), kind)
+        target = statement.target
+        if target is None:
+            self._value(statement.value)
         else:
-            source = self._place(statement.value)
-            lowering.copied(self.b, self._place(statement.target), source, kind.size)
+            self._give(statement.value, lambda: self._place(target))
 
     def _if(self, statement: tree.If) -> None:
-        after = self._new()
+        after = self._function.append_basic_block()
         for condition, body in statement.branches:
-            then, otherwise = self._new(), self._new()
-            self.b.cbranch(self._value(condition), then, otherwise)
-            self._begin(then)
-            self._body(body)
-            self.b.branch(after)
-            self._begin(otherwise)
+            self._branch(self._value(condition), body, after)
         self._body(statement.otherwise)
         self.b.branch(after)
-        self._begin(after)
+        self.b.position_at_end(after)
+
+    def _branch(self, holds: Any, body: tree.Body, after: ir.Block) -> None:
+        then, otherwise = (self._function.append_basic_block() for _ in range(2))
+        self.b.cbranch(holds, then, otherwise)
+        self.b.position_at_end(then)
+        self._body(body)
+        self.b.branch(after)
+        self.b.position_at_end(otherwise)
 
     def _case(self, statement: tree.Case) -> None:
-        after = self._new()
+        after = self._function.append_basic_block()
         selector, kind = self._value(statement.selector), statement.selector.type
-        assert kind is not None
         compare = lowering.comparison(self.b, base_of(kind))
         for (_, body), ranges in zip(statement.branches, statement.ranges, strict=True):
             found: Any = FALSE
@@ -186,54 +165,60 @@ class UnitBuilder(Values):
                 inside = compare(">=", selector, ir.Constant(selector.type, low))
                 inside = self.b.and_(inside, compare("<=", selector, ir.Constant(selector.type, high)))
                 found = self.b.or_(found, inside)
-            then, otherwise = self._new(), self._new()
-            self.b.cbranch(found, then, otherwise)
-            self._begin(then)
-            self._body(body)
-            self.b.branch(after)
-            self._begin(otherwise)
+            self._branch(found, body, after)
         self._body(statement.otherwise)
         self.b.branch(after)
-        self._begin(after)
+        self.b.position_at_end(after)
+
+    def _rounds(self, body: tree.Body, after: ir.Block, again: ir.Block) -> int:
+        """Build the body of a loop, then go on in ``again``; how much a round counts."""
+        before, self._cost = self._cost, 1
+        self._loops.append((after, again))
+        self._body(body)
+        self._loops.pop()
+        self.b.branch(again)
+        self.b.position_at_end(again)
+        cost, self._cost = self._cost, before
+        return cost
 
     def _for(self, statement: tree.For) -> None:
         kind = statement.variable.type
-        assert kind is not None
         place, last = self._place(statement.variable), self._value(statement.last)
         first = self._value(statement.first)
         self._store(first, place, kind)
         compare = lowering.comparison(self.b, base_of(kind))
-        body, step, after = self._new(), self._new(), self._new()
+        body, again, after = (self._function.append_basic_block() for _ in range(3))
         up = statement.by > 0
         self.b.cbranch(compare("<=" if up else ">=", first, last), body, after)
-        self._begin(body)
-        self._loops.append((after, step))
-        self._body(statement.body)
-        self._loops.pop()
-        self.b.branch(step)
-        self._begin(step)
-        if not (isinstance(statement.first, tree.Literal) and isinstance(statement.last, tree.Literal)):
-            self._spend(statement.line)
+        self.b.position_at_end(body)
+        cost = self._rounds(statement.body, after, again)
+        known = isinstance(statement.first, tree.Literal) and isinstance(statement.last, tree.Literal)
+        total = cost * len(range(first.constant, last.constant + 1, abs(statement.by))) if known else FREE + 1
+        if total > FREE:
+            self._spend(statement.line, cost)
+        self._cost += total if total <= FREE else cost
         now, by = self._loaded(place, kind), ir.Constant(last.type, abs(statement.by))
         left = self.b.sub(last, now) if up else self.b.sub(now, last)
-        again = self._new()
-        self.b.cbranch(self.b.icmp_unsigned(">=", left, by), again, after)
-        self._begin(again)
         self._store(self.b.add(now, by) if up else self.b.sub(now, by), place, kind)
-        self.b.branch(body)
-        self._begin(after)
+        self.b.cbranch(self.b.icmp_unsigned(">=", left, by), body, after)
+        self.b.position_at_end(after)
 
     def _while(self, statement: tree.While) -> None:
-        test, body, after = self._new(), self._new(), self._new()
+        test, body, again, after = (self._function.append_basic_block() for _ in range(4))
         self.b.branch(body if statement.test_after else test)
-        self._begin(test)
+        self.b.position_at_end(test)
         condition = self._value(statement.condition)
-        going_on = (after, body) if statement.test_after else (body, after)
-        self.b.cbranch(condition, *going_on)
-        self._begin(body)
-        self._loops.append((after, test))
-        self._spend(statement.line)
-        self._body(statement.body)
-        self._loops.pop()
+        self.b.cbranch(condition, *((after, body) if statement.test_after else (body, after)))
+        self.b.position_at_end(body)
+        cost = self._rounds(statement.body, after, again)
+        self._spend(statement.line, cost)
+        self._cost += cost
         self.b.branch(test)
-        self._begin(after)
+        self.b.position_at_end(after)
+
+
+_STATEMENTS: dict[type[tree.Statement], Any] = {
+    tree.Assignment: UnitBuilder._assignment, tree.If: UnitBuilder._if,
+    tree.Case: UnitBuilder._case, tree.For: UnitBuilder._for, tree.While: UnitBuilder._while,
+    tree.Jump: UnitBuilder._jump,
+}  # fmt: skip

@@ -1,12 +1,21 @@
 """What is refused of a text, and what a running program does wrong."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple, NoReturn
 
 from protocol.errors import ConfigurationError
 
+MOST_ERRORS = 20
+"""So many are told at once."""
+
+_FOLLOWS = "structured_text.follows"
+
 
 class StructuredTextError(ConfigurationError):
-    """A text that is not compiled; the message is ``file:line: reason``, the cause ``structured_text.…``."""
+    """Texts that are not compiled: a line ``file:line: reason`` an error; the cause ``structured_text.…``."""
+
+    place: "Place"
 
 
 class Place(NamedTuple):
@@ -17,7 +26,46 @@ class Place(NamedTuple):
 
     def refuse(self, cause: str, reason: str) -> NoReturn:
         """Raise StructuredTextError for this place; ``cause`` without its prefix."""
-        raise StructuredTextError(f"structured_text.{cause}", f"{self.file}:{self.line}: {reason}")
+        error = StructuredTextError(f"structured_text.{cause}", f"{self.file}:{self.line}: {reason}")
+        error.place = self
+        raise error
+
+    def demand(self, holds: object, cause: str, reason: str) -> None:
+        """Refuse unless ``holds``. Raises StructuredTextError."""
+        if not holds:
+            self.refuse(cause, reason)
+
+
+class TextErrors:
+    """All errors of the texts, so that one does not hide the next.
+
+    ``lost``: names in capitals whose declaration is refused. That they are unknown later is no further error.
+    """
+
+    def __init__(self) -> None:
+        self.errors: list[StructuredTextError] = []
+        self.lost: set[str] = set()
+
+    @contextmanager
+    def kept(self, *names: str) -> Iterator[None]:
+        """Go on behind the block with its error kept, and ``names`` lost."""
+        try:
+            yield
+        except StructuredTextError as error:
+            self.lost.update(map(str.upper, names))
+            if error.cause != _FOLLOWS:
+                self.errors.append(error)
+
+    def unknown(self, place: Place, name: str, why: str, cause: str = "name") -> NoReturn:
+        """Refuse ``name``, in silence if it is lost. Raises StructuredTextError."""
+        place.refuse("follows" if name.upper() in self.lost else cause, f"{name} {why}")
+
+    def tell(self) -> None:
+        """Raise StructuredTextError with the first errors in the order of the texts, if there are any."""
+        lines = {str(error): error for error in sorted(self.errors, key=lambda error: error.place)}
+        told = list(lines.values())[:MOST_ERRORS]
+        if told:
+            raise StructuredTextError(told[0].cause, "\n".join(map(str, told)))
 
 
 class RuntimeFault(NamedTuple):

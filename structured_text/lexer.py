@@ -4,17 +4,29 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from structured_text.errors import Place
+NUMBER, NAME, SIGN, WRONG, END = "number", "name", "sign", "wrong", "end"
+_LONGEST = 255
 
-NUMBER, NAME, SIGN, END = "number", "name", "sign", "end"
-
+_COMMENT = "(?!)"
+for _ in range(5):  # so many within each other
+    _COMMENT = rf"\(\*(?:(?!\(\*|\*\)).|{_COMMENT})*+\*\)"
+# Letters and digits are those of ASCII, as in TwinCAT. A pragma that says how parts lie, or what is compiled,
+# is none of the harmless ones.
 _TOKEN = re.compile(
-    r"(?P<space>\s+|//[^\n]*|\(\*.*?\*\))"
-    r"|(?P<number>(?:[A-Za-z]+\#[+-]?)?(?:(?:2|8|16)\#[0-9A-Fa-f_]+|\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?|\d[\d_]*(?!\w)))"
-    r"|(?P<name>[A-Za-z_]\w*)"
-    r"|(?P<sign>:=|=>|<=|>=|<>|\.\.|\((?!\*)|[-+*/=<>)\[\]:;,.])",
-    re.DOTALL,
+    rf"(?P<space>[\s\ufeff]+|//[^\n]*|/\*.*?\*/|{_COMMENT}"
+    r"|\{\s*(?i:attribute\s+'(?!pack_mode)|region|endregion|warning|info|text)[^{}]*\})"
+    r"|(?P<name>[A-Za-z_]\w*+(?:(?!\#)|(?=\#[A-Za-z_])))"
+    r"|(?P<open>\(\*.*)"
+    r"|(?P<time>(?i:L?TIME|L?T|L?DATE|L?D|L?TOD|L?DT|TIME_OF_DAY|DATE_AND_TIME)\#[\w.:+-]*)"
+    r"|(?P<number>(?:[A-Za-z]+\#[+-]?)?(?:(?:2|8|16)\#[0-9A-Fa-f][0-9A-Fa-f_]*|\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?|\d[\d_]*(?!\w)))"
+    r"|(?P<sign>:=|=>|<=|>=|<>|\.\.|\*\*|[-+*/=<>()\[\]:;,.#&])"
+    r"|(?P<text>'[^'\n]*'|\"[^\"\n]*\")"
+    r"|(?P<foreign>[^\x00-\x7f]+)"
+    r"|(?P<wrong>%[\w.*]+|\{[^{}]*\}|\w+|.)",
+    re.DOTALL | re.ASCII,
 )
+_TIMES = "no times: count scans, or nanoseconds in a ULINT"
+_WHY = {"time": f": {_TIMES}", "text": ": no strings", "foreign": ": letters and digits are those of ASCII"}
 
 _STANDARD = """
 ABSTRACT ACTION AND ANY ANY_BIT ANY_INT ANY_NUM ANY_REAL ARRAY ASSERT AT BOOL BY BYTE CASE CHAR CLASS
@@ -36,62 +48,45 @@ VAR_GENERIC VAR_INST VAR_STAT XINT XSIZEOF XWORD __CATCH __DELETE __ENDTRY __FIN
 __QUERYINTERFACE __QUERYPOINTER __TRY __UXINT __VARINFO __XINT __XWORD
 """
 RESERVED = frozenset(_STANDARD.split()) | frozenset(_TWINCAT_AND_CODESYS.split())
-# Functions of the standard and of both systems; no name may hide one.
-LIBRARY = frozenset(
-    [
-        "ABS",
-        "ACOS",
-        "ASIN",
-        "ATAN",
-        "ATAN2",
-        "COS",
-        "EXP",
-        "EXPT",
-        "LIMIT",
-        "LN",
-        "LOG",
-        "MAX",
-        "MIN",
-        "MUX",
-        "ROL",
-        "ROR",
-        "SEL",
-        "SHL",
-        "SHR",
-        "SIN",
-        "SQRT",
-        "TAN",
-        "TRUNC",
-        "TRUNC_INT",
-        "CONCAT",
-        "DELETE",
-        "FIND",
-        "INSERT",
-        "LEFT",
-        "LEN",
-        "MID",
-        "REPLACE",
-        "RIGHT",
-        "CEIL",
-        "FLOOR",
-        "CTD",
-        "CTU",
-        "CTUD",
-        "F_TRIG",
-        "R_TRIG",
-        "RS",
-        "RTC",
-        "SR",
-        "TOF",
-        "TON",
-        "TP",
-    ]
-)
+# Functions and timers of the standard and of both systems; no name may hide one.
+_FUNCTIONS = """
+ABS ACOS ASIN ATAN ATAN2 COS EXP EXPT LIMIT LN LOG MAX MIN MUX ROL ROR SEL SHL SHR SIN SQRT TAN TRUNC
+TRUNC_INT CONCAT DELETE FIND INSERT LEFT LEN MID REPLACE RIGHT CEIL FLOOR RTC TOF TON TP
+"""
+LIBRARY = frozenset(_FUNCTIONS.split())
+# What the language of others has and this one leaves out, with what to do instead.
+LEFT_OUT = {
+    word: why
+    for words, why in (
+        ("STRING WSTRING CHAR WCHAR", "no strings"),
+        ("TIME LTIME DATE LDATE TOD LTOD DT LDT TIME_OF_DAY DATE_AND_TIME TON TOF TP RTC", _TIMES),
+        ("POINTER REFERENCE REF_TO ADR REF", "no pointers: hand over by VAR_IN_OUT"),
+        ("METHOD PROPERTY INTERFACE EXTENDS IMPLEMENTS ACTION CLASS THIS SUPER", "no methods: use FUNCTION"),
+        ("AT", "no addresses: use a global variable"),
+        ("RETAIN PERSISTENT NON_RETAIN", "nothing outlives the process"),
+        ("VAR_EXTERNAL", "global variables are seen without it"),
+        ("VAR_STAT VAR_INST", "use VAR of a FUNCTION_BLOCK"),
+        ("CONFIGURATION RESOURCE TASK NAMESPACE", "a text has types, variables and units alone"),
+        ("UNION", "no unions: convert"),
+        ("JMP", "no jumps: use EXIT, CONTINUE or RETURN"),
+        ("R_EDGE F_EDGE", "remember the value of the last call"),
+        ("**", "use EXPT"),
+        ("R_TRIG F_TRIG RS SR CTU CTD CTUD", "declare that FUNCTION_BLOCK"),
+        ("#", "only a type or an enumeration stands before it"),
+    )
+    for word in words.split()
+}
+
+
+def why_left_out(word: str) -> str:
+    """What is said of a ``word`` that is left out; nothing of others."""
+    return f": {LEFT_OUT[word]}" if word in LEFT_OUT else ""
 
 
 class Token(NamedTuple):
-    """
-    ``kind`` is NUMBER, NAME, SIGN or END; ``word`` the text in capitals, as the language ignores case.
+    """``kind`` is NUMBER, NAME, SIGN, WRONG or END; ``word`` the text in capitals: the language ignores case.
+
+    The ``text`` of a WRONG one says why it is none of the language.
     """
 
     kind: str
@@ -100,17 +95,20 @@ class Token(NamedTuple):
     line: int
 
 
-def tokens(file: str, text: str) -> Iterator[Token]:
-    """The tokens of ``text``, the last one END. Raises StructuredTextError."""
+def tokens(text: str) -> Iterator[Token]:
+    """The tokens of ``text``, the last one END."""
     at, line = 0, 1
-    while at < len(text):
-        match = _TOKEN.match(text, at)
-        if match is None:
-            began = "a comment without its end" if text.startswith("(*", at) else repr(text[at])
-            Place(file, line).refuse("syntax", f"{began} is not of the language")
-        found = match[0]
-        if match.lastgroup != "space":
-            yield Token(str(match.lastgroup), found, found.upper(), line)
-        line += found.count("\n")
-        at = match.end()
+    while match := _TOKEN.match(text, at):
+        kind, found, at = str(match.lastgroup), match[0], match.end()
+        if kind in (NUMBER, NAME, SIGN) and len(found) <= _LONGEST:
+            yield Token(kind, found, "AND" if found == "&" else found.upper(), line)
+        else:
+            if kind != "space":
+                told = (
+                    f"{found[:20]}… has {len(found)} characters: at most {_LONGEST}" if kind in (NUMBER, NAME)
+                    else "a comment without its end is not of the language" if kind == "open"
+                    else f"{found[:_LONGEST]!r} is not of the language{_WHY.get(kind, '')}"
+                )  # fmt: skip
+                yield Token(WRONG, told, "?", line)
+            line += found.count("\n")
     yield Token(END, "the end of the text", "", line)

@@ -13,6 +13,7 @@ from structured_text.types import (
     Elementary,
     Enumeration,
     Type,
+    base_of,
 )
 
 # Functions of real numbers, with the smallest and the largest argument that they are defined for.
@@ -22,8 +23,14 @@ REAL_FUNCTIONS: dict[str, tuple[float | None, float | None]] = {
     "COS": (None, None), "TAN": (None, None), "ASIN": (-1.0, 1.0), "ACOS": (-1.0, 1.0), "ATAN": (None, None),
 }  # fmt: skip
 SHIFTS = ("SHL", "SHR", "ROL", "ROR")
-_COUNTS = {"ABS": 1, "MIN": 2, "MAX": 2, "LIMIT": 3, "SEL": 3, "EXPT": 2}
 _NUMBERS = (SIGNED, UNSIGNED, FLOAT)
+# How many arguments, and of which kinds the values among them are.
+_TAKES: dict[str, tuple[int, tuple[str, ...]]] = {
+    "ABS": (1, _NUMBERS), "MIN": (2, _NUMBERS), "MAX": (2, _NUMBERS), "LIMIT": (3, _NUMBERS),
+    "EXPT": (2, (FLOAT,)),
+    "SEL": (3, (*_NUMBERS, BITS, BOOL_KIND)),
+    **dict.fromkeys(REAL_FUNCTIONS, (1, (FLOAT,))), **dict.fromkeys(SHIFTS, (2, (BITS,))),
+}  # fmt: skip
 
 
 class NotSo(Exception):
@@ -32,6 +39,8 @@ class NotSo(Exception):
 
 def conversion(word: str) -> tuple[Elementary | None, Elementary] | None:
     """From which type, None for any, to which one the conversion ``word`` leads; None for no conversion."""
+    if word in ("TRUNC", "TRUNC_INT"):
+        return None, ELEMENTARY["INT" if word == "TRUNC_INT" else "DINT"]
     source, between, target = word.rpartition("TO_")
     if not between or target not in ELEMENTARY:
         return None
@@ -44,71 +53,50 @@ def conversion(word: str) -> tuple[Elementary | None, Elementary] | None:
 
 def is_known(word: str) -> bool:
     """Whether ``word`` is a standard function that is compiled here."""
-    return word in REAL_FUNCTIONS or word in SHIFTS or word in _COUNTS or conversion(word) is not None
+    return word in _TAKES or conversion(word) is not None
 
 
 def assumed(word: str, expect: Type | None) -> Type | None:
     """What a number without a type is taken for as an argument, where no other argument decides."""
     converts = conversion(word)
-    if converts is not None:
-        return converts[0]
-    if word in REAL_FUNCTIONS or word == "EXPT":
-        return LREAL
-    return expect
+    return converts[0] if converts else LREAL if _TAKES[word][1] == (FLOAT,) else expect
 
 
 def argument_type(word: str, place: int, kind: Type | None) -> Type | None:
     """What a number without a type is taken for as argument ``place``, the others being of ``kind``."""
-    if word == "SEL" and place == 0:
-        return BOOL
-    if word in SHIFTS and place == 1:
-        return DINT
-    return kind
+    return BOOL if (word, place) == ("SEL", 0) else DINT if word in SHIFTS and place == 1 else kind
 
 
-def result_type(word: str, given: list[Type | None]) -> Type:
+def result_type(word: str, given: list[Type]) -> Type:
     """The type of the result. Raises NotSo when ``word`` does not take ``given``."""
     converts = conversion(word)
-    count = 1 if converts or word in REAL_FUNCTIONS else 2 if word in SHIFTS else _COUNTS[word]
-    if len(given) != count:
-        raise NotSo(f"{word} takes {count} arguments, {len(given)} are given")
+    count, kinds = (1, _TAKES["SEL"][1]) if converts else _TAKES[word]
+    fits = len(given) == count or (word in ("MIN", "MAX") and len(given) > count)
+    _demand(fits, f"{word} takes {count} arguments, {len(given)} are given")
+    values = given[1:] if word == "SEL" else given[:1] if word in SHIFTS else given
+    names = ", ".join("nothing" if each is None else each.name for each in values)
     if converts:
-        return _converted(word, converts, given[0])
-    first = given[0]
+        source, target = converts
+        takes = "a number" if source is None else source.name
+        _demand(source in (None, values[0]) and _is_of(values[0], kinds), f"{word} takes {takes}")
+        way = "the standard keeps the bits, TwinCAT the value: take a whole number between"
+        _demand({base_of(values[0]).kind, target.kind} != {FLOAT, BITS}, f"{word}: {way}")
+        return target
     if word in SHIFTS:
-        by = given[1]
-        if not _of(first, BITS) or not _of(by, SIGNED, UNSIGNED):
-            raise NotSo(f"{word} takes a bit string and a whole number")
-        assert first is not None
-        return first
-    values = given[1:] if word == "SEL" else given
-    if word == "SEL" and first != BOOL:
-        raise NotSo("SEL chooses by a BOOL")
-    if any(each != values[0] for each in values) or values[0] is None:
-        names = ", ".join("nothing" if each is None else each.name for each in values)
-        raise NotSo(f"{word} takes values of one type, found {names}")
-    needs = (FLOAT,) if word in REAL_FUNCTIONS or word == "EXPT" else _NUMBERS
-    if word != "SEL" and not _of(values[0], *needs):
-        raise NotSo(f"{word} of {values[0].name}")
-    if word == "SEL" and not isinstance(values[0], Elementary | Enumeration):
-        raise NotSo(f"SEL of {values[0].name}")
+        shifts = _is_of(values[0], kinds) and _is_of(given[1], (SIGNED, UNSIGNED))
+        _demand(shifts, f"{word} takes a bit string and a whole number")
+    _demand(word != "SEL" or given[0] == BOOL, "SEL chooses by a BOOL")
+    _demand(all(each == values[0] for each in values), f"{word} takes values of one type, found {names}")
+    _demand(
+        _is_of(values[0], kinds) and (word == "SEL" or values[0] in ELEMENTARY.values()), f"{word} of {names}"
+    )
     return values[0]
 
 
-def _of(kind: Type | None, *kinds: str) -> bool:
-    return isinstance(kind, Elementary) and kind.kind in kinds
+def _demand(holds: bool, why: str) -> None:
+    if not holds:
+        raise NotSo(why)
 
 
-def _converted(word: str, converts: tuple[Elementary | None, Elementary], found: Type | None) -> Type:
-    source, target = converts
-    if (
-        found is None
-        or (source is not None and found != source)
-        or not isinstance(found, Elementary | Enumeration)
-    ):
-        raise NotSo(f"{word} takes {'a number' if source is None else source.name}")
-    kind = found.base.kind if isinstance(found, Enumeration) else found.kind
-    pairs = {kind, target.kind}
-    if FLOAT in pairs and (BITS in pairs or BOOL_KIND in pairs):
-        raise NotSo(f"{word}: {found.name} is no number")
-    return target
+def _is_of(kind: Type, kinds: tuple[str, ...]) -> bool:
+    return isinstance(kind, Elementary | Enumeration) and base_of(kind).kind in kinds

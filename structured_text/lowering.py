@@ -1,6 +1,7 @@
 """Pieces of LLVM that need no state: types, copies, comparisons, conversions, standard functions."""
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 from llvmlite import ir
@@ -65,40 +66,33 @@ def widened(b: ir.IRBuilder, value: Any, base: Elementary) -> Any:
     return (b.sext if base.kind == SIGNED else b.zext)(value, WORD)
 
 
-def converted(
-    b: ir.IRBuilder, word: str, values: list[Any], kinds: list[Elementary]
-) -> tuple[Any, Any] | None:
-    """The converted value, and whether it fits (None: always); None where ``word`` converts nothing."""
-    pair = library.conversion(word)
-    if pair is None:
-        return None
-    value, source, target = values[0], kinds[0], pair[1]
+def resized(b: ir.IRBuilder, value: Any, goal: Any) -> Any:
+    """A real number as ``goal``."""
+    if value.type == goal:
+        return value
+    return (b.fpext if goal == _FLOATS[8] else b.fptrunc)(value, goal)
+
+
+def converted(b: ir.IRBuilder, word: str, value: Any, source: Elementary) -> tuple[Any, Any]:
+    """``value`` as the conversion ``word`` leaves it, and whether it fits (None: always).
+
+    Between whole numbers and bit strings the bits are kept: cut off, or filled up by the sign.
+    """
+    target = (library.conversion(word) or (None, source))[1]
     goal = register(target)
     if target is BOOL:
-        return (value if source is BOOL else b.icmp_unsigned("!=", value, ir.Constant(value.type, 0))), None
-    if source is BOOL:
-        return b.zext(value, goal), None
-    if FLOAT in (source.kind, target.kind):
-        return _with_float(b, value, source, target)
-    low, high = target.range
-    fits = _between(b, value, source, low, high)
-    if goal.width > value.type.width:
-        return (b.sext if source.kind == SIGNED else b.zext)(value, goal), fits
-    return (value if goal.width == value.type.width else b.trunc(value, goal)), fits
-
-
-def _with_float(b: ir.IRBuilder, value: Any, source: Elementary, target: Elementary) -> tuple[Any, Any]:
-    goal = register(target)
-    if source.kind == target.kind:
-        if source.size == target.size:
-            return value, None
-        return (b.fpext if target.size > source.size else b.fptrunc)(value, goal), None
+        return comparison(b, source)("<>", value, ir.Constant(value.type, 0)), None
+    if source.kind == target.kind == FLOAT:
+        return resized(b, value, goal), None
     if target.kind == FLOAT:
         return (b.sitofp if source.kind == SIGNED else b.uitofp)(value, goal), None
+    if source.kind != FLOAT:
+        widen = b.sext if source.kind == SIGNED else b.zext
+        return (b.trunc if goal.width < value.type.width else widen)(value, goal), None
     low, high = target.range
-    whole = b.call(
-        intrinsic(b.module, "rint", value.type), [value]
-    )  # to the even neighbour, as IEC 60559 has it
+    # A half goes to the even neighbour, as IEC 60559 has it.
+    rounding = "trunc" if word.startswith("TRUNC") else "rint"
+    whole = b.call(intrinsic(b.module, rounding, value.type), [value])
     fits = b.and_(
         b.fcmp_ordered(">=", whole, ir.Constant(value.type, float(low))),
         b.fcmp_ordered("<", whole, ir.Constant(value.type, float(high + 1))),
@@ -107,27 +101,23 @@ def _with_float(b: ir.IRBuilder, value: Any, source: Elementary, target: Element
     return (b.fptosi if target.kind == SIGNED else b.fptoui)(safe, goal), fits
 
 
-def _between(b: ir.IRBuilder, value: Any, source: Elementary, low: int, high: int) -> Any:
-    """Whether a whole number lies between both; None where it must."""
-    least, most = source.range
-    compare = comparison(b, source)
-    tests = []
-    if least < low:
-        tests.append(compare(">=", value, ir.Constant(value.type, low)))
-    if most > high:
-        tests.append(compare("<=", value, ir.Constant(value.type, high)))
-    return None if not tests else tests[0] if len(tests) == 1 else b.and_(*tests)
+def is_finite(b: ir.IRBuilder, value: Any) -> Any:
+    """Whether a real number is one."""
+    size = b.call(intrinsic(b.module, "fabs", value.type), [value])
+    return b.fcmp_ordered("<", size, ir.Constant(value.type, float("inf")))
 
 
 def is_defined(b: ir.IRBuilder, word: str, value: Any) -> Any:
     """Whether the function ``word`` of real numbers is defined for ``value``; None where it always is."""
-    low, high = library.REAL_FUNCTIONS.get(word, (None, None))
-    tests = []
-    if low is not None:
-        tests.append(b.fcmp_ordered(">=", value, ir.Constant(value.type, low)))
-    if high is not None:
-        tests.append(b.fcmp_ordered("<=", value, ir.Constant(value.type, high)))
-    return None if not tests else tests[0] if len(tests) == 1 else b.and_(*tests)
+    if word in ("SIN", "COS", "TAN"):
+        return is_finite(b, value)
+    bounds = zip((">=", "<="), library.REAL_FUNCTIONS.get(word, (None, None)), strict=True)
+    tests = [
+        b.fcmp_ordered(sign, value, ir.Constant(value.type, bound))
+        for sign, bound in bounds
+        if bound is not None
+    ]
+    return reduce(b.and_, tests) if tests else None
 
 
 def chosen(b: ir.IRBuilder, module: ir.Module, word: str, values: list[Any], kinds: list[Elementary]) -> Any:
@@ -144,8 +134,8 @@ def chosen(b: ir.IRBuilder, module: ir.Module, word: str, values: list[Any], kin
     if word == "LIMIT":
         above = b.select(compare("<", values[1], values[0]), values[0], values[1])
         return b.select(compare(">", above, values[2]), values[2], above)
-    first, second = values
-    return b.select(compare("<" if word == "MIN" else ">", second, first), second, first)
+    sign = "<" if word == "MIN" else ">"
+    return reduce(lambda x, y: b.select(compare(sign, y, x), y, x), values)
 
 
 def _shifted(

@@ -7,41 +7,34 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from structured_text.types import BOOL_KIND, Array, Elementary, Structure, Type, base_of, is_scalar, packed
+from structured_text.types import FLOAT, Array, Structure, Type, base_of, is_scalar, packed
 
 
 class MemoryView:
     """A structure, an instance or an array in memory; names ignore case, indices are those of the language.
 
-    Scalars are read and written as numbers, an array of scalars as ``numbers``. It keeps its memory alive.
+    ``type``: what it is a view of; ``address``: of its first byte. Scalars are read and written as numbers,
+    an array of scalars as ``numbers``. It keeps its memory alive.
     """
 
-    __slots__ = ("_address", "_owner", "_type")
+    __slots__ = ("_owner", "address", "type")
+    type: Any
+    address: int
 
     def __init__(self, of: Type, address: int, owner: object) -> None:
-        object.__setattr__(self, "_type", of)
-        object.__setattr__(self, "_address", address)
+        object.__setattr__(self, "type", of)
+        object.__setattr__(self, "address", address)
         object.__setattr__(self, "_owner", owner)
-
-    @property
-    def type(self) -> Type:
-        """What it is a view of."""
-        return self._type  # type: ignore[no-any-return]
-
-    @property
-    def address(self) -> int:
-        """Of its first byte in this process."""
-        return self._address  # type: ignore[no-any-return]
 
     @property
     def data(self) -> Any:
         """All its bytes, as a memoryview that can be written to."""
-        return memoryview((ctypes.c_uint8 * self._type.size).from_address(self._address)).cast("B")
+        return memoryview((ctypes.c_uint8 * self.type.size).from_address(self.address)).cast("B")
 
     @property
     def numbers(self) -> npt.NDArray[Any]:
         """An array of scalars as numpy sees it, in the shape of its bounds; not copied."""
-        of = self._type
+        of = self.type
         if not (isinstance(of, Array) and is_scalar(of.of)):
             raise TypeError(f"{of.name} is no array of numbers")
         shape = [high - low + 1 for low, high in of.bounds]
@@ -49,59 +42,48 @@ class MemoryView:
 
     def clear(self) -> None:
         """Give everything its initial value."""
-        self.data[:] = packed(self._type, None)
+        self.data[:] = packed(self.type, None)
 
     def as_dict(self) -> Any:
         """Plain data: dicts of structures, lists of arrays."""
-        of = self._type
+        of = self.type
         if isinstance(of, Structure):
             return {part.name: _plain(getattr(self, part.name)) for part in of.fields.values()}
-        if is_scalar(of.of):
-            return self.numbers.tolist()
-        return [_plain(_read(of.of, self._address + at, self._owner)) for at in range(0, of.size, of.of.size)]
+        return self.numbers.tolist() if is_scalar(of.of) else [_plain(each) for each in self]
 
     def __getattr__(self, name: str) -> Any:
         part = self._part(name)
-        return _read(part.type, self._address + part.offset, self._owner)
+        return read(part.type, self.address + part.offset, self._owner)
 
     def __setattr__(self, name: str, value: Any) -> None:
         part = self._part(name)
-        _write(part.type, self._address + part.offset, value)
+        write(part.type, self.address + part.offset, value)
 
     def __getitem__(self, index: int | tuple[int, ...]) -> Any:
-        return _read(self._type.of, self._element(index), self._owner)
+        return read(self.type.of, self._element(index), self._owner)
 
     def __setitem__(self, index: int | tuple[int, ...], value: Any) -> None:
-        _write(self._type.of, self._element(index), value)
+        write(self.type.of, self._element(index), value)
 
     def __len__(self) -> int:
-        return self._type.length  # type: ignore[no-any-return]
+        return self.type.length  # type: ignore[no-any-return]
 
     def __iter__(self) -> Iterator[Any]:
-        of = self._type
+        of = self.type
         for at in range(0, of.size, of.of.size):
-            yield _read(of.of, self._address + at, self._owner)
-
-    def __dir__(self) -> list[str]:
-        return [part.name for part in self._type.fields.values()]
+            yield read(of.of, self.address + at, self._owner)
 
     def _part(self, name: str) -> Any:
-        of = self._type
+        of = self.type
         if not isinstance(of, Structure) or name.upper() not in of.fields:
             raise AttributeError(f"{of.name} has no {name}")
         return of.fields[name.upper()]
 
     def _element(self, index: int | tuple[int, ...]) -> int:
-        of = self._type
+        of = self.type
         if not isinstance(of, Array):
             raise TypeError(f"{of.name} has no elements")
-        indices = index if isinstance(index, tuple) else (index,)
-        place = 0
-        for each, (low, high) in zip(indices, of.bounds, strict=True):
-            if not low <= each <= high:
-                raise IndexError(f"index {each} is outside {low}..{high}")
-            place = place * (high - low + 1) + each - low
-        return int(self._address + place * of.of.size)
+        return int(self.address + of.offset(index if isinstance(index, tuple) else (index,)))
 
 
 def new(of: Type) -> MemoryView:
@@ -117,13 +99,15 @@ def _plain(value: Any) -> Any:
     return value.as_dict() if isinstance(value, MemoryView) else value
 
 
-def _read(of: Type, address: int, owner: object) -> Any:
+def read(of: Type, address: int, owner: object) -> Any:
+    """The number that lies there, or a view that keeps ``owner`` alive."""
     if not is_scalar(of):
         return MemoryView(of, address, owner)
     return _CTYPES[base_of(of).code].from_address(address).value
 
 
-def _write(of: Type, address: int, value: Any) -> None:
+def write(of: Type, address: int, value: Any) -> None:
+    """Leave a number, bytes or what a view shows. Raises ValueError for what does not fit."""
     if isinstance(value, MemoryView):
         value = bytes(value.data)
     elif isinstance(of, Array) and is_scalar(of.of) and not isinstance(value, bytes | bytearray | memoryview):
@@ -133,12 +117,10 @@ def _write(of: Type, address: int, value: Any) -> None:
             raise ValueError(f"{of.name} has {of.size} bytes, {len(value)} are given")
         ctypes.memmove(address, bytes(value), of.size)
         return
-    base: Elementary = base_of(of)
-    if base.kind in ("signed", "unsigned", "bits"):
-        low, high = base.range
-        if not low <= value <= high:
-            raise ValueError(f"{value} does not fit {of.name}")
-    _CTYPES[base.code].from_address(address).value = bool(value) if base.kind == BOOL_KIND else value
+    base, (low, high) = base_of(of), base_of(of).range
+    if base.kind != FLOAT and not low <= value <= high:
+        raise ValueError(f"{value} does not fit {of.name}")
+    _CTYPES[base.code].from_address(address).value = value
 
 
 _CTYPES: dict[str, Any] = {

@@ -1,73 +1,47 @@
-"""Tokens to a tree: recursive descent."""
+"""Tokens to a tree: recursive descent, which goes on behind a wrong statement or declaration."""
 
-from typing import NoReturn
+import math
+from itertools import chain
+from typing import Any
 
 from structured_text import syntax as tree
-from structured_text.errors import Place
-from structured_text.lexer import LIBRARY, NAME, NUMBER, RESERVED, Token, tokens
-from structured_text.types import BOOL, ELEMENTARY, FLOAT
+from structured_text.lexer import LEFT_OUT, NAME, NUMBER, RESERVED, Token, why_left_out
+from structured_text.reader import SECTIONS, TOP, UNITS, Reader
+from structured_text.types import BOOL, ELEMENTARY
 
-_BINARY = (("OR",), ("XOR",), ("AND",), ("=", "<>"), ("<", ">", "<=", ">="), ("+", "-"), ("*", "/", "MOD"))
-_SECTIONS = {"VAR", "VAR_INPUT", "VAR_OUTPUT", "VAR_IN_OUT"}
-_UNITS = {"FUNCTION", "FUNCTION_BLOCK", "PROGRAM"}
+_BINARY = (
+    ("OR", "OR_ELSE"), ("XOR",), ("AND", "AND_THEN"), ("=", "<>"), ("<", ">", "<=", ">="), ("+", "-"),
+    ("*", "/", "MOD"),
+)  # fmt: skip
+_LEVELS = {sign: level for level, signs in enumerate(_BINARY) for sign in signs}
+_BEGINS = {"", ";", "IF", "CASE", "FOR", "WHILE", "REPEAT", "EXIT", "CONTINUE", "RETURN"}
+_MOST_ELEMENTS = 1 << 16
 Declaration = tree.TypeDeclaration | tree.Unit | tree.Globals
 
 
-class Parser:
+class Parser(Reader):
     """The declarations of one text."""
 
-    def __init__(self, file: str, text: str) -> None:
-        """Raises StructuredTextError for what are no tokens."""
-        self._file = file
-        self._tokens = list(tokens(file, text))
-        self._at = 0
-
     def declarations(self) -> list[Declaration]:
-        """All of the text. Raises StructuredTextError."""
+        """All of the text that is of the language. Raises StructuredTextError without ``refusals``."""
         found: list[Declaration] = []
-        while self._peek.kind != "end":
-            if self._accept("TYPE"):
-                while not self._accept("END_TYPE"):
-                    found.append(self._type_declaration())
-            elif self._peek.word == "VAR_GLOBAL":
-                found.append(tree.Globals(self._file, self._section()))
-            elif self._peek.word in _UNITS:
-                found.append(self._unit())
-            else:
-                self._wrong("TYPE, VAR_GLOBAL, FUNCTION, FUNCTION_BLOCK or PROGRAM")
+        while self._peek.word:
+            self._ends = frozenset(TOP)
+            with self._kept(TOP, declares=True):
+                self._declaration(found)
+        if self._tells:
+            self._refusals.tell()
         return found
 
-    # tokens
-
-    @property
-    def _peek(self) -> Token:
-        return self._tokens[self._at]
-
-    def _next(self) -> Token:
-        self._at += 1
-        return self._tokens[self._at - 1]
-
-    def _accept(self, *words: str) -> Token | None:
-        return self._next() if self._peek.word in words and self._peek.kind != NUMBER else None
-
-    def _expect(self, word: str) -> Token:
-        return self._accept(word) or self._wrong(word)
-
-    def _wrong(self, expected: str) -> NoReturn:
-        Place(self._file, self._peek.line).refuse("syntax", f"expected {expected}, found {self._peek.text}")
-
-    def _new_name(self) -> Token:
-        """A name that is declared."""
-        token = self._peek
-        if token.kind != NAME:
-            self._wrong("a name")
-        if token.word in RESERVED or token.word in ELEMENTARY:
-            Place(self._file, token.line).refuse("reserved", f"{token.text} is a reserved word")
-        if token.word in LIBRARY or ("_TO_" in token.word and token.word.split("_TO_")[-1] in ELEMENTARY):
-            Place(self._file, token.line).refuse("reserved", f"{token.text} is a standard function")
-        if token.text.startswith("__"):
-            Place(self._file, token.line).refuse("reserved", f"{token.text} begins with two underscores")
-        return self._next()
+    def _declaration(self, found: list[Declaration]) -> None:
+        if self._accept("TYPE"):
+            self._until("END_TYPE", lambda: found.append(self._type_declaration()))
+        elif self._peek.word == "VAR_GLOBAL":
+            found.append(tree.Globals(self._file, self._section()))
+        elif self._peek.word in UNITS:
+            found.append(self._unit())
+        else:
+            self._wrong("TYPE, VAR_GLOBAL, FUNCTION, FUNCTION_BLOCK or PROGRAM")
 
     # declarations
 
@@ -76,57 +50,46 @@ class Parser:
         made = tree.TypeDeclaration(self._file, name.line, name.text)
         self._expect(":")
         if self._accept("STRUCT"):
-            made.members = []
-            while not self._accept("END_STRUCT"):
-                made.members += self._declared("VAR", False)
+            members = made.members = list[tree.VariableDeclaration]()
+            self._until("END_STRUCT", lambda: members.extend(self._declared("VAR", False)))
             self._accept(";")
             return made
         if self._accept("("):
-            made.values = []
-            while True:
-                value = self._new_name()
-                made.values.append(
-                    (value.text, self._expression() if self._accept(":=") else None, value.line)
-                )
-                if not self._accept(","):
-                    break
-            self._expect(")")
-            if self._peek.kind == NAME:
-                made.base = self._next().word
+            made.values = self._listed(self._enumerator, ")")
+            made.base = self._next().word if self._peek.kind == NAME else made.base
         else:
             made.alias = self._type_text()
         self._expect(";")
         return made
 
+    def _enumerator(self) -> tuple[str, tree.Expression | None, int]:
+        value = self._new_name()
+        return value.text, self._expression() if self._accept(":=") else None, value.line
+
     def _type_text(self) -> tree.TypeText:
         line = self._peek.line
         if not self._accept("ARRAY"):
-            if self._peek.kind != NAME:
+            if self._peek.word in LEFT_OUT and self._peek.word in RESERVED:
                 self._wrong("a type")
-            return tree.TypeText(line, self._next().text)
-        self._expect("[")
-        bounds = []
-        while True:
-            low = self._expression()
-            self._expect("..")
-            bounds.append((low, self._expression()))
-            if not self._accept(","):
-                break
-        self._expect("]")
-        self._expect("OF")
-        return tree.TypeText(line, "ARRAY", bounds, self._type_text())
+            return tree.TypeText(line, self._name("a type").text)
+        with self._deeper():
+            self._expect("[")
+            bounds = self._listed(lambda: (self._expression(), self._after("..")), "]")
+            self._expect("OF")
+            return tree.TypeText(line, "ARRAY", bounds, self._type_text())
 
     def _section(self) -> list[tree.VariableDeclaration]:
-        section, constant = self._next().word, self._accept("CONSTANT") is not None
+        section, constant = self._next(), self._accept("CONSTANT") is not None
+        kind = self._accept("RETAIN", "NON_RETAIN", "PERSISTENT") or section
+        with self._refusals.kept():  # what is declared so is read all the same
+            left_out = f"{kind.text} is left out{why_left_out(kind.word)}"
+            self._demand(kind.word not in LEFT_OUT, "syntax", left_out, kind.line)
         declared: list[tree.VariableDeclaration] = []
-        while not self._accept("END_VAR"):
-            declared += self._declared(section, constant)
+        self._until("END_VAR", lambda: declared.extend(self._declared(section.word, constant)))
         return declared
 
     def _declared(self, section: str, constant: bool) -> list[tree.VariableDeclaration]:
-        names = [self._new_name()]
-        while self._accept(","):
-            names.append(self._new_name())
+        names = self._listed(self._new_name)
         self._expect(":")
         of = self._type_text()
         initial = self._initializer() if self._accept(":=") else None
@@ -135,34 +98,40 @@ class Parser:
 
     def _initializer(self) -> tree.Initializer:
         line = self._peek.line
-        if self._accept("["):
-            values = [self._initializer()]
-            while self._accept(","):
-                values.append(self._initializer())
-            self._expect("]")
-            return tree.Initializer(line, values)
-        named = self._tokens[self._at + 1 : self._at + 3]
-        if self._peek.word == "(" and named[0].kind == NAME and named[1].word == ":=":
-            self._next()
-            parts: dict[str, tree.Initializer] = {}
-            while True:
-                name = self._next()
-                self._expect(":=")
-                parts[name.text] = self._initializer()
-                if not self._accept(","):
-                    break
-            self._expect(")")
-            return tree.Initializer(line, parts)
-        return tree.Initializer(line, self._expression())
+        with self._deeper():
+            if self._accept("["):
+                return tree.Initializer(line, list(chain(*self._listed(self._elements, "]"))))
+            if self._peek.word == "(" and self._named(1):
+                self._next()
+                return tree.Initializer(line, dict(self._listed(self._part, ")")))
+            return tree.Initializer(line, self._expression())
+
+    def _named(self, further: int = 0) -> bool:
+        """Whether a name with := or => stands here, or so much ``further``."""
+        name, *sign = self._tokens[self._at + further : self._at + further + 2]
+        return name.kind == NAME and sign[0].word in (":=", "=>")
+
+    def _elements(self) -> list[tree.Initializer]:
+        """An element, or ``count(element)``."""
+        first = self._initializer()
+        if not (isinstance(first.value, tree.Literal) and self._accept("(")):
+            return [first]
+        count, element = first.value.value, self._initializer()
+        self._expect(")")
+        few = type(count) is int and 0 < count <= _MOST_ELEMENTS
+        self._demand(few, "value", f"{count} elements: 1 to {_MOST_ELEMENTS} are listed so", first.line)
+        return [element] * count
+
+    def _part(self) -> tuple[str, tree.Initializer]:
+        name = self._name("a name")
+        self._expect(":=")
+        return name.text, self._initializer()
 
     def _unit(self) -> tree.Unit:
         kind, name = self._next(), self._new_name()
-        result = None
-        if kind.word == "FUNCTION":
-            self._expect(":")
-            result = self._type_text()
+        result = self._type_text() if kind.word == "FUNCTION" and self._accept(":") else None
         declared: list[tree.VariableDeclaration] = []
-        while self._peek.word in _SECTIONS:
+        while self._peek.word in SECTIONS:
             declared += self._section()
         body = self._body(f"END_{kind.word}")
         self._next()
@@ -170,14 +139,20 @@ class Parser:
 
     # statements
 
-    def _body(self, *ends: str) -> tree.Body:
-        """Statements up to one of the words ``ends``, which is left."""
+    def _body(self, *ends: str, labelled: bool = False) -> tree.Body:
+        """Statements up to one of the words ``ends``, or a label of CASE, which is left."""
         body: tree.Body = []
-        while self._peek.word not in ends or self._peek.kind != NAME:
-            if self._peek.kind == "end" or self._peek.word.startswith("END_"):
-                self._wrong(" or ".join(ends))
-            if not self._accept(";"):
-                body.append(self._statement())
+        outside, within = self._ends, self._ends | set(ends)
+        stops = _BEGINS | within
+        with self._deeper():
+            while self._peek.word not in ends and not (labelled and self._at_label()):
+                self._ends = within
+                if self._peek.word in outside:
+                    self._wrong(" or ".join(ends))
+                with self._kept(stops):
+                    if not self._accept(";"):
+                        body.append(self._statement())
+        self._ends = outside
         return body
 
     def _statement(self) -> tree.Statement:
@@ -193,18 +168,17 @@ class Parser:
             self._expect(";")
             return tree.Jump(token.line, token.word)
         target = self._place()
-        if self._accept(":="):
-            value = self._expression()
-            self._expect(";")
-            return tree.Assignment(token.line, target, value)
-        if not isinstance(target, tree.Call):
-            self._wrong(":=")
+        calls = isinstance(target, tree.Call) and self._peek.word != ":="
+        found = (None, target) if calls else (target, self._after(":="))
         self._expect(";")
-        return tree.CallStatement(token.line, target)
+        return tree.Assignment(token.line, *found)
 
-    def _ended(self, word: str) -> None:
-        self._expect(word)
+    def _ended(self, word: str) -> tree.Body:
+        """Statements up to ``word``, which is taken."""
+        body = self._body(word)
+        self._next()
         self._accept(";")
+        return body
 
     def _if(self, line: int) -> tree.If:
         branches = []
@@ -214,93 +188,79 @@ class Parser:
             branches.append((condition, self._body("ELSIF", "ELSE", "END_IF")))
             if not self._accept("ELSIF"):
                 break
-        otherwise = self._body("END_IF") if self._accept("ELSE") else []
-        self._ended("END_IF")
-        return tree.If(line, branches, otherwise)
+        self._accept("ELSE")
+        return tree.If(line, branches, self._ended("END_IF"))
 
     def _case(self, line: int) -> tree.Case:
         selector = self._expression()
         self._expect("OF")
         branches = []
         while self._peek.word not in ("ELSE", "END_CASE"):
-            labels = []
-            while True:
-                low = self._expression()
-                labels.append((low, self._expression() if self._accept("..") else low))
-                if not self._accept(","):
-                    break
+            labels = self._listed(self._label)
             self._expect(":")
-            branches.append((labels, self._case_body()))
-        otherwise = self._body("END_CASE") if self._accept("ELSE") else []
-        self._ended("END_CASE")
-        return tree.Case(line, selector, branches, otherwise)
+            branches.append((labels, self._body("ELSE", "END_CASE", labelled=True)))
+        self._accept("ELSE")
+        return tree.Case(line, selector, branches, self._ended("END_CASE"))
 
-    def _case_body(self) -> tree.Body:
-        body: tree.Body = []
-        while self._peek.word not in ("ELSE", "END_CASE") and not self._at_label():
-            if self._peek.kind == "end":
-                self._wrong("END_CASE")
-            if not self._accept(";"):
-                body.append(self._statement())
-        return body
+    def _label(self) -> tuple[tree.Expression, tree.Expression]:
+        low = self._expression()
+        return low, self._after("..") if self._peek.word == ".." else low
 
     def _at_label(self) -> bool:
         """Whether a CASE label stands here: a : comes before any := ; or (."""
-        for token in self._tokens[self._at : self._at + 64]:
-            if token.word == ":":
+        at = self._at
+        while self._tokens[at].word not in (":=", ";", "(", "[", "") and (
+            self._tokens[at].kind != NAME or self._tokens[at].word not in RESERVED
+        ):
+            if self._tokens[at].word == ":":
                 return True
-            if (token.kind == NAME and token.word in RESERVED) or token.word in (":=", ";", "(", "["):
-                return False
+            at += 1
         return False
 
     def _for(self, line: int) -> tree.For:
-        name = self._next()
-        if name.kind != NAME:
-            self._wrong("a name")
-        self._expect(":=")
-        first = self._expression()
-        self._expect("TO")
-        last = self._expression()
-        step = self._expression() if self._accept("BY") else None
+        name = tree.Name(line, self._name("a name").text)
+        first, last = self._after(":="), self._after("TO")
+        step = self._after("BY") if self._peek.word == "BY" else None
         self._expect("DO")
-        body = self._body("END_FOR")
-        self._ended("END_FOR")
-        return tree.For(line, tree.Name(line, name.text), first, last, step, body)
+        return tree.For(line, name, first, last, step, self._ended("END_FOR"))
 
     def _while(self, line: int) -> tree.While:
         condition = self._expression()
         self._expect("DO")
-        body = self._body("END_WHILE")
-        self._ended("END_WHILE")
-        return tree.While(line, condition, body, False)
+        return tree.While(line, condition, self._ended("END_WHILE"), False)
 
     def _repeat(self, line: int) -> tree.While:
         body = self._body("UNTIL")
-        self._expect("UNTIL")
-        condition = self._expression()
-        self._ended("END_REPEAT")
+        condition = self._after("UNTIL")
+        self._expect("END_REPEAT")
+        self._accept(";")
         return tree.While(line, condition, body, True)
 
     # expressions
 
+    def _after(self, word: str) -> tree.Expression:
+        self._expect(word)
+        return self._expression()
+
     def _expression(self, level: int = 0) -> tree.Expression:
-        if level == len(_BINARY):
-            return self._unary()
-        left = self._expression(level + 1)
-        while sign := self._accept(*_BINARY[level]):
-            left = tree.Binary(sign.line, sign.word, left, self._expression(level + 1))
-        return left
+        with self._deeper():
+            left = self._unary()
+            while _LEVELS.get(self._peek.word, -1) >= level:
+                sign = self._next()
+                right = self._expression(_LEVELS[sign.word] + 1)
+                left = self._made(tree.Binary(sign.line, sign.word, left, right), left, right)
+            return left
 
     def _unary(self) -> tree.Expression:
         sign = self._accept("-", "NOT", "+")
         if sign is None:
             return self._primary()
-        operand = self._unary()
+        operand = self._expression(len(_BINARY))
         if sign.word == "+":
             return operand
         if sign.word == "-" and isinstance(operand, tree.Literal) and not isinstance(operand.value, bool):
             return tree.Literal(sign.line, -operand.value, operand.named)
-        return tree.Unary(sign.line, sign.word, operand)
+        return self._made(tree.Unary(sign.line, sign.word, operand), operand)
 
     def _primary(self) -> tree.Expression:
         if self._accept("("):
@@ -314,29 +274,18 @@ class Parser:
         return self._place()
 
     def _number(self, token: Token) -> tree.Literal:
-        named = None
-        digits = token.text.replace("_", "")
-        if digits[0].isalpha():
-            prefix, digits = digits.split("#", 1)
-            named = ELEMENTARY.get(prefix.upper())
-            if named is None:
-                Place(self._file, token.line).refuse("type", f"{prefix} is no type of a literal")
-        negative, digits = digits.startswith("-"), digits.lstrip("+-")
-        if "#" in digits:
-            base, digits = digits.split("#")
-            try:
-                value: float = int(digits, int(base))
-            except ValueError:
-                Place(self._file, token.line).refuse(
-                    "syntax", f"{token.text} has digits beyond its base {base}"
-                )
-        else:
-            value = float(digits) if "." in digits else int(digits)
-        if named is BOOL:
-            value = bool(value)
-        elif named is not None and named.kind == FLOAT:
-            value = float(value)
-        return tree.Literal(token.line, -value if negative else value, named)
+        text = token.text.replace("_", "")
+        *base, digits = text.replace("#-", "#").replace("#+", "#").split("#")
+        prefix = base.pop(0) if text[0].isalpha() else ""
+        named = ELEMENTARY.get(prefix.upper())
+        self._demand(named or not prefix, "type", f"{prefix} is no type of a literal", token.line)
+        radix = int(base[0]) if base else 10
+        beyond = f"{token.text} has digits beyond its base {radix}"
+        self._demand(all(int(d, 16) < radix for d in digits if base), "syntax", beyond, token.line)
+        value: Any = float(digits) if "." in digits else int(digits, radix)
+        self._demand(value != math.inf, "value", f"{token.text} does not fit LREAL", token.line)
+        value = bool(value) if named is BOOL and value in (0, 1) else value
+        return tree.Literal(token.line, -value if "#-" in text else value, named)
 
     def _place(self) -> tree.Expression:
         """A variable with its members and indices, or a call."""
@@ -345,33 +294,22 @@ class Parser:
             self._wrong("an expression")
         self._next()
         found: tree.Expression = tree.Name(token.line, token.text)
-        while True:
-            if self._accept("."):
-                member = self._next()
-                if member.kind != NAME:
-                    self._at -= 1
-                    self._wrong("the name of a member")
-                found = tree.Member(token.line, found, member.text)
-            elif self._accept("["):
-                indices = [self._expression()]
-                while self._accept(","):
-                    indices.append(self._expression())
-                self._expect("]")
+        while sign := self._accept(".", "#", "[", "("):
+            parts = [found]
+            if sign.word == "[":
+                parts += (indices := self._listed(self._expression, "]"))
                 found = tree.Index(token.line, found, indices)
-            elif self._accept("("):
-                found = tree.Call(token.line, found, self._arguments())
+            elif sign.word == "(":
+                given = [] if self._accept(")") else self._listed(self._argument, ")")
+                found = tree.Call(token.line, found, given)
+                parts += [value for _, value, _ in given]
             else:
-                return found
+                found = tree.Member(token.line, found, self._name("the name of a member").text)
+            self._made(found, *parts)
+        return found
 
-    def _arguments(self) -> list[tree.Argument]:
-        given: list[tree.Argument] = []
-        while not self._accept(")"):
-            if given:
-                self._expect(",")
-            name = None
-            sign = self._tokens[self._at + 1].word
-            if self._peek.kind == NAME and sign in (":=", "=>"):
-                name = self._next().text
-                self._next()
-            given.append(tree.Argument(name, self._expression(), name is not None and sign == "=>"))
-        return given
+    def _argument(self) -> tree.Argument:
+        if not self._named():
+            return None, self._expression(), False
+        name, sign = self._next().text, self._next().word
+        return name, self._expression(), sign == "=>"

@@ -19,10 +19,10 @@ from foundation.compiled import KEYS_KEPT, cache_root
 from structured_text.backend import MEMORY, Backend
 from structured_text.checker import check
 from structured_text.declarations import BUDGET, FAULT, Declarations
-from structured_text.errors import Place, ProgramFaulted, RuntimeFault
-from structured_text.memory import MemoryView, ctype_of, new
+from structured_text.errors import Place, ProgramFaulted, RuntimeFault, TextErrors
+from structured_text.memory import MemoryView, ctype_of, new, read, write
 from structured_text.parser import Parser
-from structured_text.types import Structure, Type, is_scalar
+from structured_text.types import ELEMENTARY, Type, is_scalar
 from structured_text.values import REASONS
 
 LOOPS = 10_000_000
@@ -45,14 +45,14 @@ class CompiledProgram:
     ``memory`` has a part for every PROGRAM and global variable. Calls are not to be made from two threads.
     """
 
-    def __init__(self, texts: Mapping[str, str], *, finite: bool = False) -> None:
-        """``texts``: by the name that errors give. ``finite``: whatever real number is assigned must be.
+    def __init__(self, texts: Mapping[str, str]) -> None:
+        """``texts``: by the name that errors give.
 
         Raises StructuredTextError for a text that is not of the language.
         """
         self._names = _checked(texts)
         self._files = sorted({unit.file for unit in self._names.units.values()})
-        self._engine = _engine(self._names, texts, finite)
+        self._engine = _engine(self._names, texts)
         address = self._engine.get_global_value_address(MEMORY)
         self.memory = MemoryView(self._names.memory, address, self._engine)
         self.memory.clear()
@@ -63,16 +63,12 @@ class CompiledProgram:
 
     def new(self, name: str) -> MemoryView:
         """Memory for a value of the type ``name``, with initial values. Raises StructuredTextError."""
-        return new(self.type(name))
-
-    def type(self, name: str) -> Type:
-        """The declared or elementary type ``name``. Raises StructuredTextError."""
-        return self._names.named_type(name, Place("", 0))
+        return new(self._names.named_type(name, Place("", 0)))
 
     @property
     def types(self) -> dict[str, Type]:
         """All declared types and function blocks, by name in capitals."""
-        return self._names.declared_types()
+        return {n: of for n, of in self._names.types.items() if n not in ELEMENTARY}
 
     def constant(self, name: str) -> Any:
         """The value of a global constant: a number, or a list of them. Raises KeyError."""
@@ -107,8 +103,9 @@ class CompiledProgram:
             kinds.append(ctypes.c_void_p)
             place = given.pop(parameter.name, None)
             if is_scalar(parameter.type) or place is None:
-                cell = new(self._cell(parameter.type, place))
-                place = outputs[parameter.name] = cell
+                outputs[parameter.name] = cell = new(parameter.type)
+                write(parameter.type, cell.address, cell.data if place is None else place)
+                place = cell
             held.append(place)
             passed.append(place.address)
         if given:
@@ -117,13 +114,7 @@ class CompiledProgram:
         self._begin()
         result = ctypes.CFUNCTYPE(returns, *kinds)(self._address(name))(*passed)
         self._end()
-        return Called(result, {key: _content(view) for key, view in outputs.items()})
-
-    @staticmethod
-    def _cell(of: Type, value: Any) -> Structure:
-        made = Structure("cell")
-        made.add("content", of, value)
-        return made
+        return Called(result, {key: read(view.type, view.address, view) for key, view in outputs.items()})
 
     def _address(self, name: str) -> int:
         return int(self._engine.get_function_address(f"st_{name.upper()}"))
@@ -138,33 +129,31 @@ class CompiledProgram:
             raise ProgramFaulted(RuntimeFault(place, REASONS[fault >> 48]))
 
 
-def _content(view: MemoryView) -> Any:
-    return view.content
-
-
 def _checked(texts: Mapping[str, str]) -> Declarations:
-    return check([each for file, text in texts.items() for each in Parser(file, text).declarations()])
+    refusals = TextErrors()
+    parsed = [each for file, text in texts.items() for each in Parser(file, text, refusals).declarations()]
+    return check(parsed, refusals)
 
 
-def _engine(names: Declarations, texts: Mapping[str, str], finite: bool) -> Any:
+def _engine(names: Declarations, texts: Mapping[str, str]) -> Any:
     """An engine that holds the machine code of ``names``."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine(opt=2, codemodel="jitdefault")
-    place = _place(texts, finite, machine.triple)
+    place = _place(texts, machine.triple)
     code = _read(place)
     empty = llvm.parse_assembly(f'target triple = "{machine.triple}"\n')
     engine = llvm.create_mcjit_compiler(empty, machine)
     if code is None:
-        code = _compiled(names, machine, finite)
+        code = _compiled(names, machine)
         _write(place, code)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine
 
 
-def _compiled(names: Declarations, machine: Any, finite: bool) -> bytes:
-    module = Backend(names, machine.triple, str(machine.target_data), finite=finite).module
+def _compiled(names: Declarations, machine: Any) -> bytes:
+    module = Backend(names, machine.triple, str(machine.target_data)).module
     parsed = llvm.parse_assembly(str(module))
     parsed.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)
@@ -177,22 +166,17 @@ def _compiled(names: Declarations, machine: Any, finite: bool) -> bytes:
     return code
 
 
-def _place(texts: Mapping[str, str], finite: bool, triple: str) -> Path | None:
-    """Where the machine code of ``texts`` is stored; None where there is no such folder."""
-    root = cache_root()
-    if root is None:
-        return None
-    digest = hashlib.sha256(f"{llvmlite.__version__} {triple} {finite}".encode())
+def _place(texts: Mapping[str, str], triple: str) -> Path:
+    """Where the machine code of ``texts`` is stored; nowhere if there is no such folder."""
+    digest = hashlib.sha256(f"{llvmlite.__version__} {triple}".encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
     for name, text in sorted(texts.items()):
         digest.update(name.encode() + b"\0" + text.encode() + b"\0")
-    return root / _FOLDER / f"{digest.hexdigest()[:32]}.o"
+    return (cache_root() or Path(os.devnull)) / _FOLDER / f"{digest.hexdigest()[:32]}.o"
 
 
-def _read(place: Path | None) -> bytes | None:
-    if place is None:
-        return None
+def _read(place: Path) -> bytes | None:
     try:
         stored = place.read_bytes()
         os.utime(place)
@@ -202,10 +186,8 @@ def _read(place: Path | None) -> bytes | None:
     return code if hashlib.sha256(code).digest() == stored[:_DIGEST] else None  # LLVM crashes on a spoilt one
 
 
-def _write(place: Path | None, code: bytes) -> None:
+def _write(place: Path, code: bytes) -> None:
     """Keep ``code``, whole or not at all, and remove what was used longest ago."""
-    if place is None:
-        return
     with contextlib.suppress(OSError):
         place.parent.mkdir(parents=True, exist_ok=True)
         part = place.with_suffix(f".{os.getpid()}")

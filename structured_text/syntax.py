@@ -1,4 +1,7 @@
-"""The tree of a text. The checker fills ``type`` and what stands behind names; the back end reads both."""
+"""The tree of a text. The checker fills ``type`` and what stands behind names; the back end reads both.
+
+What the checker fills is None before, and a FUNCTION without a result has no ``type`` behind.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, Union
@@ -8,10 +11,11 @@ from structured_text.types import Elementary, Enumeration, Structure, Type
 
 @dataclass
 class Expression:
-    """``line``: where it stands; ``type``: set by the checker."""
+    """``line``: where it stands; ``type``: set by the checker; ``height``: of the tree that it is."""
 
     line: int
-    type: Type | None = field(default=None, init=False)
+    height: int = field(default=1, init=False)
+    type: Type = field(default=None, init=False)  # type: ignore[assignment]
 
 
 @dataclass
@@ -45,7 +49,7 @@ class Name(Expression):
     """A variable by its name."""
 
     name: str
-    variable: Variable | None = field(default=None, init=False)
+    variable: Variable = field(default=None, init=False)  # type: ignore[assignment]
 
 
 @dataclass
@@ -83,13 +87,8 @@ class Binary(Expression):
     right: Expression
 
 
-@dataclass
-class Argument:
-    """``name := value``, or ``name => value`` for an output; ``name`` None: by place."""
-
-    name: str | None
-    value: Expression
-    is_output: bool = False
+Argument = tuple[str | None, Expression, bool]
+"""``name := value``, or ``name => value`` for an output, which is True; the name None: by place."""
 
 
 @dataclass
@@ -98,7 +97,7 @@ class Call(Expression):
 
     of: Expression
     arguments: list[Argument]
-    unit: Union["Unit", None] = field(default=None, init=False)
+    unit: "Unit" = field(default=None, init=False)  # type: ignore[assignment]
     library: str = field(default="", init=False)
     given: dict[str, Expression] = field(default_factory=dict, init=False)
 
@@ -115,17 +114,10 @@ Body = list[Statement]
 
 @dataclass
 class Assignment(Statement):
-    """``target := value;``"""
+    """``target := value;``, or a call whose result nobody takes: without a target."""
 
-    target: Expression
+    target: Expression | None
     value: Expression
-
-
-@dataclass
-class CallStatement(Statement):
-    """A call whose result nobody takes."""
-
-    call: Call
 
 
 @dataclass
@@ -228,10 +220,10 @@ class Unit:
     result_text: TypeText | None
     declared: list[VariableDeclaration]
     body: Body
-    result: Type | None = field(default=None, init=False)
+    result: Type = field(default=None, init=False)  # type: ignore[assignment]
     variables: dict[str, Variable] = field(default_factory=dict, init=False)
     instance: Structure | None = field(default=None, init=False)
-    calls: list[tuple[str, int]] = field(default_factory=list, init=False)
+    calls: list[str] = field(default_factory=list, init=False)
 
     def parameters(self) -> list[Variable]:
         """What is handed over in a call, in order; of an instance VAR_IN_OUT alone."""

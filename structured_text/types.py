@@ -1,5 +1,6 @@
 """Types and where their parts lie: naturally aligned, little-endian, as TwinCAT and CODESYS have them."""
 
+import math
 import struct
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,14 +18,12 @@ class Elementary:
     code: str
 
     @property
-    def align(self) -> int:
-        """Its own size."""
-        return self.size
-
-    @property
-    def range(self) -> tuple[int, int]:
-        """The least and the greatest whole number."""
-        bits = 8 * self.size
+    def range(self) -> tuple[float, float]:
+        """The least and the greatest number."""
+        if self.kind == FLOAT:
+            most = (2 - 2.0**-52) * 2.0**1023 if self.size == 8 else (2 - 2.0**-23) * 2.0**127
+            return -most, most
+        bits = 1 if self.kind == BOOL_KIND else 8 * self.size
         return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.kind == SIGNED else (0, (1 << bits) - 1)
 
 
@@ -58,11 +57,6 @@ class Enumeration:
         """That of its base."""
         return self.base.size
 
-    @property
-    def align(self) -> int:
-        """That of its base."""
-        return self.base.size
-
 
 @dataclass(frozen=True)
 class Array:
@@ -79,20 +73,26 @@ class Array:
     @property
     def length(self) -> int:
         """How many elements."""
-        count = 1
-        for low, high in self.bounds:
-            count *= high - low + 1
-        return count
+        return math.prod(high - low + 1 for low, high in self.bounds)
 
     @property
     def size(self) -> int:
         """In bytes."""
         return self.length * self.of.size
 
+    def offset(self, indices: tuple[int, ...]) -> int:
+        """Where an element lies. Raises IndexError."""
+        place = 0
+        for each, (low, high) in zip(indices, self.bounds, strict=True):
+            if not low <= each <= high:
+                raise IndexError(f"index {each} is outside {low}..{high}")
+            place = place * (high - low + 1) + each - low
+        return place * self.of.size
+
     @property
-    def align(self) -> int:
-        """That of an element."""
-        return self.of.align
+    def depth(self) -> int:
+        """How many arrays and structures lie within each other."""
+        return 1 + getattr(self.of, "depth", 0)
 
 
 @dataclass(frozen=True)
@@ -108,13 +108,18 @@ class StructurePart:
 
 @dataclass(eq=False)
 class Structure:
-    """A STRUCT, or the memory of a function block or program; ``fields`` by name in capitals."""
+    """A STRUCT, or the memory of a function block or program; ``fields`` by name in capitals.
+
+    ``image``: its initial value, once somebody has asked for it.
+    """
 
     name: str
     fields: dict[str, StructurePart] = field(default_factory=dict)
     end: int = 0
     align: int = 1
     is_block: bool = False
+    depth: int = 1
+    image: bytes = b""
 
     @property
     def size(self) -> int:
@@ -123,9 +128,10 @@ class Structure:
 
     def add(self, name: str, of: "Type", initial: Any = None, section: str = "VAR") -> StructurePart:
         """Lay out another part behind the last one."""
-        offset = _aligned(self.end, of.align)
+        offset = _aligned(self.end, align_of(of))
         made = self.fields[name.upper()] = StructurePart(name, of, offset, initial, section)
-        self.end, self.align = offset + of.size, max(self.align, of.align)
+        self.end, self.align = offset + of.size, max(self.align, align_of(of))
+        self.depth = max(self.depth, 1 + getattr(of, "depth", 0))
         return made
 
 
@@ -134,6 +140,11 @@ Type = Elementary | Enumeration | Array | Structure
 
 def _aligned(at: int, align: int) -> int:
     return -(-at // align) * align
+
+
+def align_of(of: Type) -> int:
+    """What its place is a multiple of: its own size, that of an element, that of the largest part."""
+    return of.align if isinstance(of, Structure) else align_of(of.of) if isinstance(of, Array) else of.size
 
 
 def is_scalar(of: Type) -> bool:
@@ -154,9 +165,13 @@ def packed(of: Type, value: Any) -> bytes:
             return packed(of.of, None) * of.length
         return b"".join(packed(of.of, each) for each in value)
     if isinstance(of, Structure):
+        if value is None and of.image:
+            return of.image
         data = bytearray(of.size)
         for name, part in of.fields.items():
             given = part.initial if value is None or name not in value else value[name]
             data[part.offset : part.offset + part.type.size] = packed(part.type, given)
+        if value is None:
+            of.image = bytes(data)
         return bytes(data)
     return struct.pack("<" + base_of(of).code, 0 if value is None else value)

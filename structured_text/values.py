@@ -1,16 +1,17 @@
 """Values, places, calls and checks of one unit as LLVM."""
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 
-from structured_text import lowering
+from structured_text import library, lowering
 from structured_text import syntax as tree
 from structured_text.declarations import BUDGET
 from structured_text.lowering import BYTE, POINTER, WORD, number, register
-from structured_text.types import BOOL, FLOAT, SIGNED, Array, Type, base_of, is_scalar, packed
+from structured_text.types import BOOL, FLOAT, SIGNED, Array, Type, align_of, base_of, is_scalar, packed
 
-INDEX, DIVISION, DOMAIN, CONVERSION, OVERFLOW, LOOP, NOT_FINITE = range(1, 8)
+INDEX, DIVISION, DOMAIN, CONVERSION, OVERFLOW, LOOP = range(1, 7)
 REASONS = {
     INDEX: "an index is outside of its array",
     DIVISION: "division by zero",
@@ -18,8 +19,10 @@ REASONS = {
     CONVERSION: "a number does not fit the type that it is converted to",
     OVERFLOW: "a signed number overflows",
     LOOP: "a loop does not end",
-    NOT_FINITE: "a number is not finite",
 }
+FREE = 1000
+"""Rounds that are known before, and few enough to take no part in the count."""
+
 _INTRINSIC = {"SQRT": "sqrt", "EXP": "exp", "LN": "log", "LOG": "log10", "SIN": "sin", "COS": "cos"}
 
 
@@ -31,6 +34,8 @@ class Values:
         self._places: dict[str, Any] = {}
         self._loops: list[tuple[ir.Block, ir.Block]] = []
         self._file = backend.files.index(unit.file)
+        self._cost = 1
+        self._apart: dict[str, Any] = {}
         self._entry = function.append_basic_block("entry")
         self._exit = ir.Block(function, "exit")
         self._failed = ir.Block(function, "failed")
@@ -52,18 +57,20 @@ class Values:
         return self._at(self._backend.memory, number(offset))
 
     def _loaded(self, place: Any, kind: Type) -> Any:
-        value = self.b.load(place, typ=lowering.stored(kind), align=kind.align)
+        value = self.b.load(place, typ=lowering.stored(kind), align=align_of(kind))
         return self.b.icmp_unsigned("!=", value, BYTE(0)) if base_of(kind) is BOOL else value
 
     def _store(self, value: Any, place: Any, kind: Type) -> None:
         if base_of(kind) is BOOL:
             value = self.b.zext(value, BYTE)
-        self.b.store(value, place, align=kind.align)
+        self.b.store(value, place, align=align_of(kind))
 
     # checks
 
     def _require(self, holds: Any, why: int, line: int) -> None:
-        """Go on where ``holds``; else leave the unit, and say why."""
+        """Go on where ``holds``, which None always does; else leave the unit, and say why."""
+        if holds is None:
+            return
         packed_why = ir.Constant(WORD, why << 48 | self._file << 32 | line)
         following = self._function.append_basic_block()
         self._why.add_incoming(packed_why, self.b.block)
@@ -78,10 +85,10 @@ class Values:
         branch.set_weights([1 << 20, 1])
         self.b.position_at_end(following)
 
-    def _spend(self, line: int) -> None:
-        """One round of a loop that has no bound of its own."""
+    def _spend(self, line: int, rounds: int) -> None:
+        """Take so many rounds, in loops or in what is called, from those that the whole call may take."""
         place = self._global(self._backend._names.memory.fields[BUDGET.upper()].offset)
-        left = self.b.sub(self.b.load(place, typ=WORD, align=8), WORD(1))
+        left = self.b.sub(self.b.load(place, typ=WORD, align=8), WORD(rounds))
         self.b.store(left, place, align=8)
         self._require(self.b.icmp_signed(">", left, WORD(0)), LOOP, line)
 
@@ -89,29 +96,23 @@ class Values:
 
     def _place(self, expression: tree.Expression) -> Any:
         """Where it lies."""
-        if isinstance(expression, tree.Name):
-            variable = expression.variable
-            assert variable is not None
-            if variable.constant is not None:
-                return self._backend.constant(packed(variable.type, variable.constant))
-            if variable.section == "VAR_GLOBAL":
-                assert variable.offset is not None
-                return self._global(variable.offset)
-            return self._places[variable.name.upper()]
         if isinstance(expression, tree.Member):
             return self._at(self._place(expression.of), number(expression.offset))
-        assert isinstance(expression, tree.Index)
-        return self._element(expression)
+        if isinstance(expression, tree.Index):
+            return self._element(expression)
+        assert isinstance(expression, tree.Name)
+        variable = expression.variable
+        if variable.constant is not None:
+            return self._backend.constant(packed(variable.type, variable.constant))
+        if variable.section == "VAR_GLOBAL":
+            return self._global(variable.offset or 0)
+        return self._places[variable.name.upper()]
 
     def _element(self, expression: tree.Index) -> Any:
-        of = expression.of.type
+        of, offset, base = expression.of.type, number(0), self._place(expression.of)
         assert isinstance(of, Array)
-        base = self._place(expression.of)
-        offset: Any = number(0)
         for index, (low, high) in zip(expression.indices, of.bounds, strict=True):
-            kind = index.type
-            assert kind is not None
-            value = lowering.widened(self.b, self._value(index), base_of(kind))
+            value = lowering.widened(self.b, self._value(index), base_of(index.type))
             place = self.b.sub(value, number(low))
             if not isinstance(index, tree.Literal):
                 inside = self.b.icmp_unsigned("<=", place, number(high - low))
@@ -123,33 +124,22 @@ class Values:
 
     def _value(self, expression: tree.Expression) -> Any:
         """A scalar in a register."""
-        kind = expression.type
-        assert kind is not None
-        match expression:
-            case tree.Literal(value=value):
-                return ir.Constant(register(kind), value)
-            case tree.Unary():
-                return self._unary(expression)
-            case tree.Binary():
-                return self._binary(expression)
-            case tree.Call():
-                return self._library(expression) if expression.library else self._call(expression)
-        return self._loaded(self._place(expression), kind)
+        make = _VALUES.get(type(expression))
+        return make(self, expression) if make else self._loaded(self._place(expression), expression.type)
 
     def _unary(self, expression: tree.Unary) -> Any:
         value = self._value(expression.operand)
-        base = base_of(expression.type)  # type: ignore[arg-type]
         if expression.sign == "NOT":
             return self.b.not_(value)
-        if base.kind == FLOAT:
+        if base_of(expression.type).kind == FLOAT:
             return self.b.fneg(value)
         return self._counted("-", ir.Constant(value.type, 0), value, expression.line)
 
     def _binary(self, expression: tree.Binary) -> Any:
-        left, right = self._value(expression.left), self._value(expression.right)
-        kind = expression.left.type
-        assert kind is not None
-        base, sign = base_of(kind), expression.sign
+        kind, sign, left = expression.left.type, expression.sign, self._value(expression.left)
+        if sign in ("AND_THEN", "OR_ELSE"):
+            return self._decided(expression, left)
+        base, right = base_of(kind), self._value(expression.right)
         if sign in ("=", "<>", "<", ">", "<=", ">="):
             return lowering.comparison(self.b, base)(sign, left, right)
         if sign in ("AND", "OR", "XOR"):
@@ -164,6 +154,15 @@ class Values:
         if base.kind == SIGNED:
             return self._counted(sign, left, right, expression.line)
         return {"+": self.b.add, "-": self.b.sub, "*": self.b.mul}[sign](left, right)
+
+    def _decided(self, expression: tree.Binary, left: Any) -> Any:
+        """The right side only where the left one leaves it open."""
+        with self.b.goto_entry_block():
+            place = self._room(BYTE, 1)
+        self._store(left, place, BOOL)
+        with self.b.if_then(left if expression.sign == "AND_THEN" else self.b.not_(left)):
+            self._store(self._value(expression.right), place, BOOL)
+        return self._loaded(place, BOOL)
 
     def _divided(self, expression: tree.Binary, left: Any, right: Any, signed: bool) -> Any:
         if not isinstance(expression.right, tree.Literal) or expression.right.value == 0:
@@ -191,7 +190,6 @@ class Values:
 
     def _call(self, call: tree.Call) -> Any:
         unit = call.unit
-        assert unit is not None
         passed: list[Any] = []
         instance = None
         if unit.instance is not None:
@@ -199,63 +197,92 @@ class Values:
             passed.append(instance)
             for name, value in call.given.items():
                 if unit.variables[name].section == "VAR_INPUT":
-                    self._hand_in(value, self._at(instance, number(unit.variables[name].offset or 0)))
-        passed += [self._passed(each, call.given.get(each.name.upper())) for each in unit.parameters()]
+                    place = self._at(instance, number(unit.variables[name].offset or 0))
+                    self._give(value, lambda place=place: place)  # type: ignore[misc]
+        taken: list[tuple[Any, Any, int]] = []
+        passed += [self._passed(each, call, taken) for each in unit.parameters()]
+        cost = self._backend.costs[unit.name.upper()]
+        if cost > FREE:
+            self._spend(call.line, cost)
+        self._cost += min(cost, FREE)
         result = self.b.call(self._backend.functions[unit.name.upper()], passed)
         self._leave_if_failed()
         for name, target in call.given.items():
             if instance is not None and unit.variables[name].section == "VAR_OUTPUT":
                 source = self._at(instance, number(unit.variables[name].offset or 0))
-                lowering.copied(self.b, self._place(target), source, unit.variables[name].type.size)
+                taken.append((self._place(target), source, unit.variables[name].type.size))
+        for place, source, size in taken:
+            lowering.copied(self.b, place, source, size)
         return result
 
-    def _hand_in(self, value: tree.Expression, place: Any) -> None:
-        kind = value.type
-        assert kind is not None
-        if is_scalar(kind):
-            self._store(self._value(value), place, kind)
+    def _give(self, value: tree.Expression, place: Callable[[], Any]) -> None:
+        """Leave ``value``, which is evaluated first, at ``place``."""
+        if is_scalar(value.type):
+            self._store(self._value(value), place(), value.type)
         else:
-            lowering.copied(self.b, place, self._place(value), kind.size)
+            source = self._place(value)
+            lowering.copied(self.b, place(), source, value.type.size)
 
-    def _passed(self, parameter: tree.Variable, given: tree.Expression | None) -> Any:
-        if given is None:  # an output that nobody takes
+    def _passed(self, parameter: tree.Variable, call: tree.Call, taken: list[tuple[Any, Any, int]]) -> Any:
+        """What is handed over. An output that others could see is made apart, ``taken`` after the call."""
+        given, kind = call.given.get(parameter.name.upper()), parameter.type
+        if parameter.section == "VAR_INPUT" and is_scalar(kind):
+            return ir.Constant(register(kind), parameter.initial) if given is None else self._value(given)
+        place = None if given is None else self._place(given)
+        if parameter.section != "VAR_OUTPUT" or (given is not None and _is_alone(given, call)):
+            return place
+        key = f"{call.unit.name}.{parameter.name}"  # no call needs it while another one does
+        if key not in self._apart:
             with self.b.goto_entry_block():
-                return self._room(ir.ArrayType(BYTE, parameter.type.size), parameter.type.align)
-        if parameter.section == "VAR_INPUT" and is_scalar(parameter.type):
-            return self._value(given)
-        return self._place(given)
+                self._apart[key] = self._room(ir.ArrayType(BYTE, kind.size), align_of(kind))
+        if place is not None:
+            taken.append((place, self._apart[key], kind.size))
+        return self._apart[key]
 
     def _library(self, call: tree.Call) -> Any:
         values = [self._value(each) for each in call.given.values()]
-        kinds = [base_of(each.type) for each in call.given.values() if each.type is not None]
+        kinds = [base_of(each.type) for each in call.given.values()]
         word = call.library
-        found = lowering.converted(self.b, word, values, kinds)
-        if found is not None:
-            value, holds = found
-            if holds is not None:
-                self._require(holds, CONVERSION, call.line)
+        if library.conversion(word):
+            value, holds = lowering.converted(self.b, word, values[0], kinds[0])
+            self._require(holds, CONVERSION, call.line)
             return value
-        holds = lowering.is_defined(self.b, word, values[0])
-        if holds is not None:
-            self._require(holds, DOMAIN, call.line)
+        self._require(lowering.is_defined(self.b, word, values[0]), DOMAIN, call.line)
         if word in _INTRINSIC:
             return self.b.call(
                 lowering.intrinsic(self._backend.module, _INTRINSIC[word], values[0].type), values[:1]
             )
         if word in ("TAN", "ASIN", "ACOS", "ATAN", "EXPT"):
             function = self._backend.external("pow" if word == "EXPT" else word.lower(), len(values))
-            double = [
-                v if isinstance(v.type, ir.DoubleType) else self.b.fpext(v, ir.DoubleType()) for v in values
-            ]
-            result = self.b.call(function, double)
-            return (
-                result
-                if isinstance(values[0].type, ir.DoubleType)
-                else self.b.fptrunc(result, values[0].type)
-            )
+            kind = values[0].type
+            double = [lowering.resized(self.b, each, ir.DoubleType()) for each in values]
+            result = lowering.resized(self.b, self.b.call(function, double), kind)
+            self._require(lowering.is_finite(self.b, result) if word == "EXPT" else None, DOMAIN, call.line)
+            return result
         if word == "ABS" and kinds[0].kind == SIGNED:
             negative = self._counted("-", ir.Constant(values[0].type, 0), values[0], call.line)
             return self.b.select(
                 self.b.icmp_signed("<", values[0], ir.Constant(values[0].type, 0)), negative, values[0]
             )
         return lowering.chosen(self.b, self._backend.module, word, values, kinds)
+
+
+_VALUES: dict[type[tree.Expression], Any] = {
+    tree.Literal: lambda _, literal: ir.Constant(register(literal.type), literal.value),
+    tree.Unary: Values._unary, tree.Binary: Values._binary,
+    tree.Call: lambda values, call: (values._library if call.library else values._call)(call),
+}  # fmt: skip
+
+
+def _root(place: tree.Expression) -> tree.Expression:
+    while isinstance(place, tree.Member | tree.Index):
+        place = place.of
+    return place
+
+
+def _is_alone(place: tree.Expression, call: tree.Call) -> bool:
+    """Whether nothing but this argument of ``call`` leads to ``place``: it lies on the caller's stack."""
+    variable = getattr(_root(place), "variable", None)
+    roots = [getattr(_root(each), "variable", None) for each in call.given.values()]
+    own = variable is not None and variable.offset is None and variable.section != "VAR_IN_OUT"
+    return own and sum(root is variable for root in roots) == 1

@@ -13,6 +13,7 @@ TYPE
         b : ARRAY[1..3] OF INT := [7, 8, 9];
     END_STRUCT
     T_Grid : ARRAY[0..1, -1..1] OF DINT;
+    T_Four : ARRAY[0..3] OF DINT;
 END_TYPE
 VAR_GLOBAL CONSTANT
     COUNT_N : INT := 2 * 3 - 1;
@@ -48,6 +49,53 @@ VAR_INPUT
 END_VAR
 F_Sum := pair_in.a + INT_TO_LREAL(pair_in.b[1] + pair_in.b[3]);
 END_FUNCTION
+VAR_GLOBAL
+    GLOBAL_N : DINT;
+END_VAR
+FUNCTION F_Outputs : BOOL
+VAR_OUTPUT
+    n_kept : DINT := 4; n_unset : DINT; pair_out : ST_Pair; a_out : T_Four := [1, 2, 3, 0];
+END_VAR
+n_kept := n_kept + 1;
+a_out[0] := a_out[0] * 2;
+pair_out.b[2] := pair_out.b[2] + 1;
+END_FUNCTION
+FUNCTION F_Sees : DINT
+VAR_OUTPUT
+    n_out : DINT;
+END_VAR
+n_out := 1;
+F_Sees := GLOBAL_N;
+END_FUNCTION
+FUNCTION F_Turn : BOOL
+VAR_INPUT
+    a_in : T_Four;
+END_VAR
+VAR_OUTPUT
+    a_out : T_Four;
+END_VAR
+a_out[0] := a_in[3];
+a_out[3] := a_in[0];
+END_FUNCTION
+FUNCTION F_Both : BOOL
+VAR_IN_OUT
+    n_io : DINT;
+END_VAR
+VAR_OUTPUT
+    n_out : DINT;
+END_VAR
+n_out := 3;
+n_io := n_io + 1;
+END_FUNCTION
+FUNCTION F_Local : DINT
+VAR
+    n : DINT := 7;
+    a : T_Four := [10, 0, 0, 40];
+END_VAR
+F_Both(n_io := n, n_out => n);
+F_Turn(a_in := a, a_out => a);
+F_Local := n * 1000 + a[0] * 100 + a[3] / 10;
+END_FUNCTION
 FUNCTION_BLOCK FB_Counter
 VAR_INPUT
     n_by : DINT := 1;
@@ -65,7 +113,7 @@ END_FUNCTION_BLOCK
 VARIABLES = (
     "i, j, n, m : DINT; u : UINT; us : USINT; ul : ULINT; w : WORD; d : DWORD; f, g : LREAL;"
     "rr : REAL; x, y : BOOL;"
-    "e : E_Mode; p, q : ST_Pair; t : T_Grid; a : ARRAY[0..3] OF DINT := [10, 20, 30, 40]; c : FB_Counter;"
+    "e : E_Mode; p, q : ST_Pair; t : T_Grid; a : T_Four := [10, 20, 30, 40]; c : FB_Counter;"
     "cs : ARRAY[1..2] OF FB_Counter; li : LINT; b : BYTE; si : SINT; ix : INT; es : E_Small;"
 )
 
@@ -118,6 +166,14 @@ CASES = [
     ("WHILE n < 5 DO n := n + 2; END_WHILE", "n", 6),
     ("REPEAT n := n + 2; UNTIL n > 3 END_REPEAT", "n", 4),
     ("FOR i := 1 TO 9 DO IF i = 4 THEN EXIT; END_IF n := i; END_FOR", "n", 3),
+    # the counter behind a loop, as TwinCAT leaves it
+    ("FOR i := 1 TO 4 DO END_FOR", "i", 5),
+    ("FOR i := 9 TO 0 BY -3 DO END_FOR", "i", -3),
+    ("FOR i := 3 TO 2 DO END_FOR", "i", 3),
+    ("FOR i := 1 TO 9 DO IF i = 4 THEN EXIT; END_IF END_FOR", "i", 4),
+    ("FOR us := 250 TO 255 DO END_FOR", "us", 0),
+    ("FOR i := 0 TO 1000000 DO IF i = 7 THEN EXIT; END_IF END_FOR", "i", 7),
+    ("FOR i := 1 TO 3000 DO FOR j := 1 TO 1000 DO n := n + 1; END_FOR END_FOR", "n", 3_000_000),
     ("FOR i := 1 TO 5 DO IF i = 3 THEN CONTINUE; END_IF n := n + i; END_FOR", "n", 12),
     ("WHILE TRUE DO n := n + 1; IF n = 3 THEN EXIT; END_IF END_WHILE", "n", 3),
     ("FOR i := 1 TO 3 DO FOR j := 1 TO 3 DO IF j = 2 THEN EXIT; END_IF n := n + 1; END_FOR END_FOR", "n", 3),
@@ -160,6 +216,15 @@ CASES = [
         "n",
         24,
     ),
+    # an output is a variable of the function: it begins anew, and is handed over at the end
+    ("n := 9; m := 7; F_Outputs(n_kept => n, n_unset => m); n := n * 10 + m;", "n", 50),
+    ("p.a := 8.0; p.b[2] := 8; a[0] := 70; F_Outputs(pair_out => p, a_out => a); f := p.a;", "f", 1.5),
+    ("p.b[2] := 8; F_Outputs(pair_out => p); ix := p.b[2];", "ix", 9),
+    ("a[0] := 70; a[3] := 9; F_Outputs(a_out => a); n := a[0] * 10 + a[3];", "n", 20),
+    ("GLOBAL_N := 5; n := F_Sees(n_out => GLOBAL_N) * 10 + GLOBAL_N;", "n", 51),
+    ("GLOBAL_N := 5; m := F_Sees(n_out => m) * 10 + m;", "m", 51),
+    ("a[0] := 1; F_Turn(a_in := a, a_out => a); n := a[0] * 100 + a[3];", "n", 4001),
+    ("n := F_Local();", "n", 1000 * 3 + 4001),
     # standard functions
     ("n := ABS(-3);", "n", 3),
     ("f := ABS(-2.5);", "f", 2.5),

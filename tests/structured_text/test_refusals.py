@@ -47,8 +47,16 @@ LINE = HEAD.count("\n") + 1
 STATEMENTS = [
     ("n := u;", "expected INT, found UINT"),
     ("n := f;", "expected INT, found LREAL"),
-    ("f := 1;", "expected LREAL, found DINT"),
     ("n := 40000;", "40000 does not fit INT"),
+    ("n := INT#70000;", "70000 does not fit INT"),
+    ("n := SINT#-129;", "-129 does not fit SINT"),
+    ("w := 16#1FFFF;", "131071 does not fit WORD"),
+    ("w := WORD#16#1FFFF;", "131071 does not fit WORD"),
+    ("x := BOOL#2;", "2 does not fit BOOL"),
+    ("f := 1.0E400;", "1.0E400 does not fit LREAL"),
+    ("f := REAL#1.0E39;", "1e+39 does not fit REAL"),
+    ("n := ä;", "'ä' is not of the language: letters and digits are those of ASCII"),
+    ("n := ٣;", "'٣' is not of the language: letters and digits are those of ASCII"),
     ("u := -1;", "-1 does not fit UINT"),
     ("x := n;", "expected BOOL, found INT"),
     ("n := n + u;", "INT + UINT: expected two of one type"),
@@ -74,7 +82,7 @@ STATEMENTS = [
     ("n := F_One(n_in => n);", "n_in of F_One is given with :="),
     ("n := F_One(n_in := 1, n_in := 2);", "n_in is given twice"),
     ("n := FB_One(1);", "FB_One is called through an instance"),
-    ("n := c(n_in := 1);", "the call of a FB_One has no value: read its outputs"),
+    ("n := c(n_in := 1);", "the call of FB_One has no value: read its outputs"),
     ("n := c.n_own;", "n_own is private to FB_One"),
     ("c.n_out := 1;", "n_out is an output of its block: it cannot be written"),
     ("e := E_Mode.Gone;", "E_Mode has no Gone"),
@@ -99,7 +107,10 @@ STATEMENTS = [
     ("n := MIN(n, u);", "MIN takes values of one type, found INT, UINT"),
     ("w := SHL(n, 1);", "SHL takes a bit string and a whole number"),
     ("f := SIN(x := f);", "SIN takes its arguments by place"),
-    ("f := WORD_TO_LREAL(w);", "WORD_TO_LREAL: WORD is no number"),
+    (
+        "f := WORD_TO_LREAL(w);",
+        "WORD_TO_LREAL: the standard keeps the bits, TwinCAT the value: take a whole number between",
+    ),
     ("n := ABS(n, n);", "ABS takes 1 arguments, 2 are given"),
 ]
 
@@ -137,10 +148,13 @@ DECLARATIONS = [
     ("VAR n : INT := 1.5; END_VAR", "expected INT, found LREAL"),
     ("VAR CONSTANT n : INT; END_VAR", "the constant n has no value"),
     ("VAR n : INT := n_other; END_VAR", "n_other is not declared"),
-    ("VAR n : ARRAY[0..99999999] OF LREAL; END_VAR", "800000000 bytes: an array has at most 67108864"),
+    (
+        "VAR n : ARRAY[0..99999999] OF LREAL; END_VAR",
+        "ARRAY[0..99999999] OF LREAL has 800000000 bytes: at most 67108864",
+    ),
     ("VAR n : INT := 1 / 0; END_VAR", "division by zero"),
     ("VAR n INT; END_VAR", "expected :, found INT"),
-    ("VAR 1n : INT; END_VAR", "'1' is not of the language"),
+    ("VAR 1n : INT; END_VAR", "'1n' is not of the language"),
 ]
 GLOBALS = "VAR_GLOBAL CONSTANT cA : LREAL := 1.0; END_VAR TYPE ST_X : STRUCT a : INT; END_STRUCT END_TYPE"
 
@@ -187,8 +201,43 @@ def test_a_wrong_unit_is_refused_in_its_line(text: str, why: str) -> None:
     assert str(refusal(f"\n{text}")) == f"wrong.st:2: {why}"
 
 
-def test_the_file_is_the_one_that_is_wrong() -> None:
-    with pytest.raises(StructuredTextError, match=r"^second\.st:2: n is not declared$"):
-        CompiledProgram(
-            {"first.st": "TYPE A : INT; END_TYPE", "second.st": "PROGRAM PRG\nn := 1; END_PROGRAM"}
-        )
+def test_all_errors_are_told_at_once_in_their_order_and_none_that_follows_from_another() -> None:
+    first = "VAR_GLOBAL\n  a : T_Gone;\n  b : INT := 1.5;\n  c INT;\n  d : INT;\nEND_VAR\n"
+    second = """PROGRAM PRG
+VAR n : INT; at : INT; x : BOOL; END_VAR
+a := 1; b := 1; c := 1; at := 1;
+n := ;
+n := d + TRUE;
+IF n THEN gone := 1; END_IF
+WHILE x DO
+n = 1;
+END_IF
+END_WHILE
+n := F(missing := 1);
+END_PROGRAM
+FUNCTION F : INT
+VAR_INPUT k : INT; END_VAR
+F := k $ 1;
+F := other;
+END_FUNCTION
+FUNCTION G INT
+END_FUNCTION
+"""
+    with pytest.raises(StructuredTextError) as caught:
+        CompiledProgram({"first.st": first, "second.st": second})
+    assert str(caught.value).splitlines() == [
+        "first.st:2: T_Gone is no type",
+        "first.st:3: expected INT, found LREAL",
+        "first.st:4: expected :, found INT",
+        "second.st:2: at is a reserved word",
+        "second.st:4: expected an expression, found ;",
+        "second.st:5: INT + BOOL: expected two of one type",
+        "second.st:6: expected BOOL, found INT",
+        "second.st:6: gone is not declared",
+        "second.st:8: expected :=, found =",
+        "second.st:9: expected an expression, found END_IF",
+        "second.st:11: F has no parameter missing",
+        "second.st:15: '$' is not of the language",
+        "second.st:16: other is not declared",
+        "second.st:19: expected :=, found END_FUNCTION",
+    ]
