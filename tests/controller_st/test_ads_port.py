@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import socket
 import struct
 import threading
@@ -25,12 +26,15 @@ from protocol.errors import ConfigurationError, RequestRefused
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
 from testbed.plc_watch import WatchedPlc, watch_values
+from testbed.realtime.launch import free_port
 from tests.controller_st.test_ads_device import COUNTER
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.realtime
 CAUSES: list[str] = []
 ADS_PORT = 48898  # AdsLib knows no other
+# So its test has an address of its own: of two suites at a time, and beside a router, too.
+OWN_HOST = f"127.{100 + os.getpid() % 100}.{os.getpid() // 256 % 256}.{1 + os.getpid() % 250}"
 
 
 class Running(NamedTuple):
@@ -38,13 +42,17 @@ class Running(NamedTuple):
 
     memory: MemoryView
     host: str
+    port: int
     turns_s: list[float]
 
 
 @contextlib.contextmanager
-def running(host: str, log: EventLog, writable: bool = False) -> Iterator[Running]:
+def running(
+    log: EventLog, writable: bool = False, host: str = "127.0.0.1", number: int = 0
+) -> Iterator[Running]:
     program = CompiledProgram({"counter.st": COUNTER})
-    port = AdsPort(AdsDevice(program.memory, writable=writable), host, ADS_PORT, log)
+    number = number or free_port()
+    port = AdsPort(AdsDevice(program.memory, writable=writable), host, number, log)
     ended, turns_s = threading.Event(), []
 
     def cycle() -> None:
@@ -58,7 +66,7 @@ def running(host: str, log: EventLog, writable: bool = False) -> Iterator[Runnin
     thread = threading.Thread(target=cycle)
     thread.start()
     try:
-        yield Running(program.memory, host, turns_s)
+        yield Running(program.memory, host, number, turns_s)
     finally:
         ended.set()
         thread.join(10.0)
@@ -85,7 +93,7 @@ def connected(host: str) -> Iterator[Any]:
 
 def test_beckhoffs_client_reads_writes_and_subscribes(log: EventLog) -> None:
     pyads = pytest.importorskip("pyads", reason="pyads is absent: make peers")
-    with running("127.0.0.41", log, writable=True) as rig, connected(rig.host) as client:
+    with running(log, writable=True, host=OWN_HOST, number=ADS_PORT) as rig, connected(rig.host) as client:
         assert client.read_device_info()[0] == "Longreach ST PLC"
         assert client.read_state()[0] == pyads.ADSSTATE_RUN
         first = client.read_by_name("main.ncount")
@@ -123,8 +131,8 @@ def asked(command: int, data: bytes) -> bytes:
     "wrong", [b"GET / HTTP/1.1\r\n\r\n", struct.pack("<HI", 0, 4_000_000_000), asked(4, b"")[:-2] + bytes(40)]
 )
 def test_what_is_no_ams_ends_the_connection_and_no_other(log: EventLog, wrong: bytes) -> None:
-    with running("127.0.0.43", log) as rig, socket.create_connection((rig.host, ADS_PORT), 5.0) as good:
-        with socket.create_connection((rig.host, ADS_PORT), 5.0) as bad:
+    with running(log) as rig, socket.create_connection((rig.host, rig.port), 5.0) as good:
+        with socket.create_connection((rig.host, rig.port), 5.0) as bad:
             bad.sendall(wrong)
             with contextlib.suppress(ConnectionResetError):
                 while bad.recv(4096):
@@ -134,9 +142,9 @@ def test_what_is_no_ams_ends_the_connection_and_no_other(log: EventLog, wrong: b
 
 
 def test_who_floods_and_does_not_read_is_answered_as_far_as_a_turn_allows(log: EventLog) -> None:
-    with running("127.0.0.44", log) as rig, contextlib.ExitStack() as held:
+    with running(log) as rig, contextlib.ExitStack() as held:
         flood = asked(9, struct.pack("<IIII", 0xF009, 0, 100, 10) + b"MAIN.afSix") * 200
-        clients = [socket.create_connection((rig.host, ADS_PORT), 5.0) for _ in range(CLIENTS)]
+        clients = [socket.create_connection((rig.host, rig.port), 5.0) for _ in range(CLIENTS)]
         for client in clients:
             held.enter_context(client)
             client.settimeout(0.01)
@@ -155,10 +163,10 @@ def test_plc_watch_writes_rows_until_the_plc_goes_silent(
     log: EventLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("pyads", reason="pyads is absent: make peers")
-    host, path = "127.0.4.7", tmp_path / "watch.csv"
+    host, path = OWN_HOST, tmp_path / "watch.csv"
     with contextlib.ExitStack() as stack:
         running_one = stack.enter_context(contextlib.ExitStack())
-        running_one.enter_context(running(host, log))
+        running_one.enter_context(running(log, host=host, number=ADS_PORT))
         plc = stack.enter_context(WatchedPlc(host, f"{host}.1.1", 851))
         for name, why in (("MAIN.nothing", "no such variable"), ("MAIN.stPart", "name its parts")):
             with pytest.raises(RequestRefused, match=why):
@@ -179,15 +187,15 @@ def test_plc_watch_writes_rows_until_the_plc_goes_silent(
 
 
 def test_there_are_places_for_eight_and_who_leaves_makes_room(log: EventLog) -> None:
-    with running("127.0.0.45", log) as rig:
-        clients = [socket.create_connection((rig.host, ADS_PORT), 5.0) for _ in range(CLIENTS)]
+    with running(log) as rig:
+        clients = [socket.create_connection((rig.host, rig.port), 5.0) for _ in range(CLIENTS)]
         clients[-1].sendall(asked(4, b""))
         assert clients[-1].recv(4096)
-        with socket.create_connection((rig.host, ADS_PORT), 5.0) as ninth:
+        with socket.create_connection((rig.host, rig.port), 5.0) as ninth:
             assert ninth.recv(1) == b""
         clients.pop().close()
         time.sleep(0.1)
-        clients.append(socket.create_connection((rig.host, ADS_PORT), 5.0))
+        clients.append(socket.create_connection((rig.host, rig.port), 5.0))
         clients[-1].sendall(asked(4, b""))
         assert clients[-1].recv(4096)
         for client in clients:
@@ -195,7 +203,7 @@ def test_there_are_places_for_eight_and_who_leaves_makes_room(log: EventLog) -> 
 
 
 def test_who_leaves_its_notifications_unread_is_ended(log: EventLog) -> None:
-    with running("127.0.0.46", log) as rig, socket.create_connection((rig.host, ADS_PORT), 5.0) as client:
+    with running(log) as rig, socket.create_connection((rig.host, rig.port), 5.0) as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         watch = struct.pack("<IIIIII16x", 0x4040, 0, 80, 3, 0, 0)
         client.sendall(asked(6, watch) * 200)
@@ -206,8 +214,8 @@ def test_who_leaves_its_notifications_unread_is_ended(log: EventLog) -> None:
 
 
 def test_a_port_that_is_taken_is_refused_by_name(log: EventLog) -> None:
-    with running("127.0.0.47", log), pytest.raises(ConfigurationError, match=r"127\.0\.0\.47:48898"):
-        AdsPort(AdsDevice(CompiledProgram({"counter.st": COUNTER}).memory), "127.0.0.47", ADS_PORT, log)
+    with running(log) as rig, pytest.raises(ConfigurationError, match=rf"127\.0\.0\.1:{rig.port}"):
+        AdsPort(AdsDevice(CompiledProgram({"counter.st": COUNTER}).memory), rig.host, rig.port, log)
 
 
 def test_the_controller_in_python_shows_no_variables() -> None:

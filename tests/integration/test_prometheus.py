@@ -14,7 +14,7 @@ import httpx
 import pytest
 import yaml
 
-from foundation.secret_source import bound_tcp
+from testbed.realtime.launch import free_port
 from tests.integration.services import Running, running, until_healthy
 from tests.support.grafana import expressions
 from tests.support.paths import ROOT
@@ -28,11 +28,6 @@ pytestmark = [
 _WITHIN_S, _SCRAPES = 60.0, 8
 _WINDOW, _SHORTER = "[1m]", "[10s]"  # the dashboard looks at minutes, a test has seconds
 _BY_CAUSE = ("plant_exchange_failures", "rest_refused")  # nothing is told of what never happened
-
-
-def free_port() -> int:
-    with bound_tcp("127.0.0.1", 0, "test") as listener:
-        return int(listener.getsockname()[1])
 
 
 @contextlib.contextmanager

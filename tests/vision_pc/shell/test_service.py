@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -11,17 +10,12 @@ import httpx
 import pytest
 
 from foundation.recording.recovery import contents
+from testbed.realtime.launch import free_port
 from tests.support.paths import CONFIGS
 from vision_pc.__main__ import main
 from vision_pc.shell.recording.vision_recorder import EVENT, FILE, LOG
 
 pytestmark = pytest.mark.realtime
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def arguments(*settings: str) -> list[str]:
