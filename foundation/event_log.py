@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TextIO, TypeVar
 
-from foundation.recording.recovery import recording_directory
+from foundation.recording.beginning import recording_directory
 from protocol.errors import ConfigurationError, LongreachError
 
 SOONEST_NS = 1_000_000_000

@@ -12,7 +12,7 @@ from typing import Any
 
 from foundation.event_log import EventLog
 from foundation.periods import WINDOW_NS, Limit, OverloadWatch, Tally
-from foundation.recording.recovery import writable_directory
+from foundation.recording.beginning import writable_directory
 
 _PERIOD_S = 10.0
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -16,7 +16,7 @@ from controller.core.excitation.program import ExcitationSample
 from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import ControllerView, ScanEvent, ScanInput, ScanOutput
 from foundation.event_log import EventLog, Level
-from foundation.recording.decoding import session_entries
+from foundation.recording.beginning import session_entries
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import (
     MessageField,

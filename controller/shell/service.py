@@ -33,7 +33,7 @@ from foundation.incidents import note_scheduling
 from foundation.live.feed import LiveShow, open_show
 from foundation.live.wire import Spread, exposition
 from foundation.periods import DurationHistogram, Limit, Tally, percent_missed, take_fifo
-from foundation.recording.recovery import recording_directory
+from foundation.recording.beginning import recording_directory
 from foundation.secret_source import read_key
 from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end

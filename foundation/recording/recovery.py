@@ -1,6 +1,5 @@
-"""Directories that the command line names, tried before anything starts."""
+"""What a recording holds, and what can be read of one that is not whole."""
 
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,40 +9,6 @@ from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
 
 from foundation.recording.decoding import Damage, walk
 from foundation.recording.mcap_file import Entries, Format, McapFile, Topic
-from protocol.errors import ConfigurationError
-
-ROOM_WANTED_MB = 50.0  # some minutes of the plant's recording
-
-
-def recording_directory(directory: Path | None) -> Path | None:
-    """``--record-dir`` as ``writable_directory``; None where nothing is to be recorded.
-
-    Raises ConfigurationError also where the disk has too little room left (``configuration.disk_full``).
-    """
-    if directory is None:
-        return None
-    what = f"--record-dir {directory}"
-    writable_directory(directory, "configuration.record_dir_unwritable", what)
-    free_mb = shutil.disk_usage(directory).free / 1e6
-    if free_mb < ROOM_WANTED_MB:
-        why = f"{what}: {free_mb:.0f} MB left on the disk, {ROOM_WANTED_MB:.0f} MB wanted to begin with"
-        raise ConfigurationError("configuration.disk_full", why)
-    return directory
-
-
-def writable_directory(directory: Path, cause: str, what: str) -> Path:
-    """``directory``, made where it is missing. Raises ConfigurationError when no file can be made in it.
-
-    ``what`` names the setting in the error.
-    """
-    probe = directory / ".writable"
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise ConfigurationError(cause, f"{what}: {error.strerror}") from error
-    return directory
 
 
 class Contents(NamedTuple):

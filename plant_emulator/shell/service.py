@@ -13,9 +13,8 @@ from foundation.incidents import note_scheduling
 from foundation.live.feed import LiveShow, Opened, open_show
 from foundation.live.wire import Spread, exposition
 from foundation.periods import Limit, Tally, take_fifo
-from foundation.recording.decoding import session_entries
+from foundation.recording.beginning import recording_directory, session_entries
 from foundation.recording.messages import RecordingThread
-from foundation.recording.recovery import recording_directory
 from foundation.secret_source import bound_tcp
 from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end

@@ -15,7 +15,6 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.wall.bores import hole_places
 from plant_emulator.core.fault_execution import obey
 from plant_emulator.core.faults.schedule import FaultOrder
-from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
 from testbed.controllers import ControllerKind
 from testbed.demonstration.sequence import (
@@ -36,6 +35,7 @@ from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler, bearer, error_of
 from testbed.realtime.supervisor import Supervisor
 from testbed.realtime.up import end_on_sigterm, show_console, show_fault_api, show_live, started, tell
+from testbed.recordings.plant_truth import FaultRecord, read_truth
 from testbed.reporting.console import Bars, bars, out
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import TracedView

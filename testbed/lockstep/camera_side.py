@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from foundation.recording.decoding import SESSION_VARIABLE, session_entries
+from foundation.recording.beginning import SESSION_VARIABLE, session_entries
 from foundation.recording.messages import DirectRecording
 from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, Capture, Exposures, Shot
 from plant_emulator.core.camera.scene import Scene

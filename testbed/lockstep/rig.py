@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from controller.core.scan_program import Parts, own_parts
 from controller.shell.scan_recorder import ScanRecorder
 from foundation.event_log import Level
-from foundation.recording.decoding import SESSION_VARIABLE, session_entries
+from foundation.recording.beginning import SESSION_VARIABLE, session_entries
 from foundation.recording.messages import DirectRecording
 from nominal_arm.dimensions import boom_dimensions, dimensions
 from plant_emulator.core.camera.scene import Scene

@@ -18,7 +18,7 @@ import psutil
 from foundation.event_log import event_of, in_words
 from foundation.incidents import INCIDENTS
 from foundation.live.wire import SHARED_VARIABLE
-from foundation.recording.decoding import SESSION_VARIABLE
+from foundation.recording.beginning import SESSION_VARIABLE
 from foundation.service_main import LONGEST_SILENCE, SOCKET, Listener
 from protocol.errors import LongreachError
 from testbed.realtime.complaints import Complaint, complaint_of

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from foundation.configuration import parse_overrides
-from foundation.recording.decoding import Damage, session_entries
+from foundation.recording.beginning import session_entries
+from foundation.recording.decoding import Damage
 from protocol.errors import ConfigurationError
 from testbed.recordings.comparison import ALIKE, ReplayComparison
 from testbed.recordings.decision_replay import DecisionReplay

@@ -21,7 +21,7 @@ from plant_emulator.core.camera.exposures import STILL, CameraView, Capture, Exp
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.faults.kinds import FAULTS, Fault
-from plant_emulator.shell.recording import FaultRecord, read_truth
+from testbed.recordings.plant_truth import FaultRecord, read_truth
 from vision_pc.shell.recording import vision_recorder as topics
 from vision_pc.shell.recording.vision_messages import FrameMessage
 

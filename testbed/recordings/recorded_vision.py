@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 from mcap.records import Message, Metadata
 
 from foundation.configuration import merged, validated
-from foundation.recording.decoding import Damage, RecordingUnreadable, messages, session_entries, walk
+from foundation.recording.beginning import session_entries
+from foundation.recording.decoding import Damage, RecordingUnreadable, messages, walk
 from foundation.recording.messages import fields_of
 from nominal_arm.description import NominalArm
 from vision_pc.config.vision import VisionConfig

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from plant_emulator.core.truth import tool_error
-from plant_emulator.shell.recording import read_truth
 from testbed.realtime.launch import free_port
+from testbed.recordings.plant_truth import read_truth
 from tests.support.crash_trials import Rig, judge, trials, until_healthy
 from tests.support.page_runner import blocks, documents, judge_rest_block, pasted, refusals, shell_blocks
 from tests.support.paths import ROOT

@@ -7,12 +7,12 @@ import httpx
 import numpy as np
 import pytest
 
-from plant_emulator.shell.recording import read_truth
 from testbed.realtime import probe
 from testbed.realtime.launch import PLANT, VISION
 from testbed.realtime.rest_rig import RestRig
 from testbed.recordings.comparison import OPERATION, REFERENCE
 from testbed.recordings.decision_replay import DecisionReplay
+from testbed.recordings.plant_truth import read_truth
 from testbed.recordings.recorded_vision import recorded_vision
 from tests.integration.services import Running, running
 from tests.support.patience import PATIENT

@@ -7,8 +7,8 @@ import pytest
 
 import longreach
 from longreach.replaying import Replay
-from plant_emulator.shell.recording import read_truth
 from protocol.errors import RequestRefused
+from testbed.recordings.plant_truth import read_truth
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.slow("a run is recorded")

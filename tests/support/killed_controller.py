@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from pyModbusTCP.client import ModbusClient
 
 from foundation.configuration import merged, parse_overrides
-from plant_emulator.shell.recording import Recording, read_truth
 from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.process_image import (
@@ -33,6 +32,7 @@ from testbed.realtime.child import Service
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.live_client import LiveClient
 from testbed.realtime.supervisor import Supervisor, supervised
+from testbed.recordings.plant_truth import Recording, read_truth
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows
 CLOSING_MS = 30.0  # drive electronics and servo valve, from the centred word to the shut spool

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plant_emulator.shell.recording import read_truth
+from testbed.recordings.plant_truth import read_truth
 from tests.longreach_ros2.bridge.rig import Talk, at_rest, bridged, needs_ros, stranger
 
 pytestmark = [pytest.mark.realtime, needs_ros]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plant_emulator.shell.recording import read_truth
+from testbed.recordings.plant_truth import read_truth
 from tests.longreach_ros2.bridge.rig import PYTHON, bridged, environment, needs_ros
 from tests.support.paths import ROOT
 

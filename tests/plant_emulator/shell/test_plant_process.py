@@ -18,9 +18,9 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from plant_emulator.__main__ import main
-from plant_emulator.shell.recording import read_truth
 from protocol.process_image import CONTROL_ENABLE, ValveImage, decode_sensors, encode_valves
 from protocol.stereo_frame import HEADER_BYTES, decode_header
+from testbed.recordings.plant_truth import read_truth
 from tests.plant_emulator.camera.camera_world import CONFIGS
 from tests.support.log_lines import assert_obeys
 

@@ -11,8 +11,8 @@ import numpy as np
 from plant_emulator.core.faults.kinds import SupplyLost, ValveSlow
 from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.truth import PlantTruth
-from plant_emulator.shell.recording import FaultRecord, read_truth
 from plant_emulator.shell.truth_recorder import TruthRecorder
+from testbed.recordings.plant_truth import FaultRecord, read_truth
 
 RUN = {"plant": {"step_ms": 0.5}, "scene": {"seed": 7}}
 

@@ -10,16 +10,16 @@ from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from foundation.configuration import load
-from foundation.recording.decoding import SESSION_VARIABLE, session_entries
+from foundation.recording.beginning import SESSION_VARIABLE, session_entries
 from foundation.recording.messages import DirectRecording
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.recording import read_truth
 from plant_emulator.shell.scene_messages import CAMERA, TOOL, drawing
 from plant_emulator.shell.truth_recorder import CAMERA as CALIBRATION
 from plant_emulator.shell.truth_recorder import CAPTURE, EVENT, FRAMES, LOG, SCENE, TOPICS, TruthRecorder
+from testbed.recordings.plant_truth import read_truth
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.paths import CONFIGS
 from tests.support.rerun import needs_rerun, rerun

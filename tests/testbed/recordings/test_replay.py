@@ -15,7 +15,6 @@ from foundation.recording.decoding import RecordingUnreadable
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import OwnFault
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.recording import read_truth
 from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import ReferencePose
@@ -31,6 +30,7 @@ from testbed.recordings.perception_replay import (
     pixels_for,
 )
 from testbed.recordings.pixels import RenderedPixels
+from testbed.recordings.plant_truth import read_truth
 from testbed.recordings.recorded_vision import recorded_vision
 from testbed.scenarios.scenario import load_settings
 from tests.plant_emulator.plant_world import plant_config

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from foundation.event_log import EventLog
 from foundation.live.feed import LiveFeed, Opened
-from foundation.recording.decoding import session_entries
+from foundation.recording.beginning import session_entries
 from foundation.recording.messages import RecordingThread
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
