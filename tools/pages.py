@@ -1,5 +1,9 @@
-"""Generated tables of the pages on coupler, programs and worlds; ``python -m tools.pages`` writes them."""
+"""Generated tables of the pages on coupler, programs and worlds, and the list of the suites' cases;
+``python -m tools.pages`` writes them.
+"""
 
+import csv
+import io
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -7,6 +11,7 @@ from typing import Any
 from pymodbus.pdu.bit_message import ReadCoilsRequest
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadWriteMultipleRegistersRequest
 
+from conformance.runner import coupler_cases, reference_cases
 from foundation.modbus import MAX_PDU_BYTES
 from laboratory.experiments.positioning.worlds import WORLDS
 from plant_emulator.core.coupler import modbus_requests as requests
@@ -21,6 +26,7 @@ from tools.tables import table
 from vision_pc.application.programs import PROGRAMS
 
 DOCS = Path(__file__).parents[1] / "docs"
+CASES = DOCS / "protocol" / "cases.csv"
 _READ, _BITS, _NONE = ReadHoldingRegistersRequest.MAX_COUNT, ReadCoilsRequest.MAX_COUNT, "–"
 _MOST_WORDS = (MAX_PDU_BYTES - 6) // 2  # behind function code, address, quantity and byte count
 FUNCTIONS = {
@@ -184,6 +190,17 @@ def rendered(page: str) -> str:
     return filled((DOCS / page).read_text(encoding="utf-8"), PAGES[page]())
 
 
+def cases_csv() -> str:
+    """Every case of both suites: number, clause that it cites, whether it moves or writes, question."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("suite", "case", "clause", "moves", "question"))
+    for suite, cases in (("reference", reference_cases()), ("coupler", coupler_cases())):
+        writer.writerows((suite, c.number, c.clause, "yes" if c.motion else "", c.title) for c in cases)
+    return out.getvalue()
+
+
 if __name__ == "__main__":
+    CASES.write_text(cases_csv(), encoding="utf-8")
     for name in PAGES:
         (DOCS / name).write_text(rendered(name), encoding="utf-8")

@@ -22,8 +22,7 @@ from websockets.typing import Subprotocol
 from foundation.event_log import EventLog
 from foundation.live import wire
 from foundation.live.wire import LatestQueue
-from foundation.rest.access import Access, GuardedRequest
-from foundation.rest.guard import Guard
+from foundation.rest.guard import Access, Guard, GuardedRequest
 from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, Refusal, RefusalLog, problem
 
 VIEWERS_MAX = 8

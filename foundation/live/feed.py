@@ -18,7 +18,7 @@ from foundation.live.wire import SHARED_VARIABLE, LatestQueue
 from foundation.periods import take_fifo
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import RecordingThread, RecordSink
-from foundation.rest.access import Access
+from foundation.rest.guard import Access
 from foundation.rest.tokens import configured_access
 from foundation.secret_source import bound_tcp
 

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator
 
 from foundation.rest.door_connection import DoorConnection, Stops
 from foundation.rest.guard import Guard
-from foundation.rest.requests import spelling
+from foundation.rest.http_messages import spelling
 
 MAX_CONNECTIONS = 256
 MAX_OF_ONE_ADDRESS = 128  # the other half is left for others

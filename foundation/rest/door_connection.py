@@ -6,11 +6,18 @@ from contextlib import AbstractAsyncContextManager
 from http import HTTPStatus
 from typing import Protocol
 
-from foundation.rest.access import GuardedRequest
-from foundation.rest.answers import answer, chunk, framed
-from foundation.rest.guard import Guard
+from foundation.rest.guard import Guard, GuardedRequest
+from foundation.rest.http_messages import (
+    MOST_BODY_BYTES,
+    Head,
+    RequestUnreadable,
+    answer,
+    chunk,
+    framed,
+    take_body,
+    take_head,
+)
 from foundation.rest.problems import Refusal, problem
-from foundation.rest.requests import MOST_BODY_BYTES, Head, RequestUnreadable, take_body, take_head
 
 IDLE_S = 90.0  # longer than the 75 s for which proxies keep an idle connection
 REQUEST_WITHIN_S = 10.0

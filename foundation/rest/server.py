@@ -16,9 +16,8 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.rest.access import Access
 from foundation.rest.door import Door
-from foundation.rest.guard import Guard, Refuse
+from foundation.rest.guard import Access, Guard, Refuse
 from foundation.rest.problems import (
     MEDIA_TYPE,
     Advise,

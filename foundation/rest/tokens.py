@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Protocol
 
 from foundation.configuration import StrictModel
-from foundation.rest.access import Access, Role
+from foundation.rest.guard import Access, Role
 from foundation.secret_source import SecretSource, read_secret
 from protocol.errors import ConfigurationError
 

@@ -24,8 +24,8 @@ from fastapi.responses import JSONResponse
 
 from foundation.event_log import EventLog, process_log
 from foundation.periods import Policy, take_policy
-from foundation.rest.access import GuardedRequest
 from foundation.rest.files import add_docs
+from foundation.rest.guard import GuardedRequest
 from foundation.rest.problems import Refusal, problem
 from foundation.rest.server import RestServer, door, install_problems, service_socket
 from foundation.rest.tokens import configured_access

@@ -12,7 +12,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
-from foundation.rest.access import Role
+from foundation.rest.guard import Role
 from protocol.faults import FaultCode, GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note, reach
 from tests.browser.open_console import console, eventually, opened, serious

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
-from foundation.rest.access import Role
+from foundation.rest.guard import Role
 from protocol.faults import FaultCode
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, note
 from tests.browser.open_console import eventually, opened

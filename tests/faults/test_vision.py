@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foundation.rest.access import ANYBODY_HERE
+from foundation.rest.guard import ANYBODY_HERE
 from foundation.rest.server import RestServer, door, service_socket
 from plant_emulator.core.faults.kinds import MarkerCovered, ObjectMoves
 from protocol.errors import MeasurementFailed, RequestRefused

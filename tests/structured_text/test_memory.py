@@ -4,7 +4,7 @@ import pytest
 
 from structured_text.program import CompiledProgram
 from tests.structured_text.c_layout import as_ctypes, check_offsets
-from tools.protocol_files import FOLDER
+from tests.support.paths import DOCS
 
 MIXED = """
 TYPE
@@ -47,7 +47,7 @@ END_PROGRAM
 
 
 def test_every_declared_type_lies_as_ctypes_lays_it_out() -> None:
-    program = CompiledProgram({"types.st": (FOLDER / "types_twincat_codesys.st").read_text()})
+    program = CompiledProgram({"types.st": ((DOCS / "protocol") / "types_twincat_codesys.st").read_text()})
     assert sum(check_offsets(of) for of in program.types.values()) > 100
 
 

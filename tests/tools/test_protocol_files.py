@@ -25,7 +25,8 @@ from protocol.process_image import (
 )
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
-from tools.protocol_files import FOLDER, cases_csv
+from tests.support.paths import DOCS
+from tools.pages import CASES, cases_csv
 from tools.protocol_page import signed_golden
 from tools.sample_messages import HEADER, MESSAGES
 
@@ -34,9 +35,7 @@ WORD_CODES = {"UINT": "H", "INT": "h", "DINT": "i"}
 
 
 def test_the_list_of_cases_is_that_of_the_suites() -> None:
-    assert (FOLDER / "cases.csv").read_text(encoding="utf-8") == cases_csv(), (
-        "run: python -m tools.protocol_files"
-    )
+    assert CASES.read_text(encoding="utf-8") == cases_csv(), "run: python -m tools.pages"
 
 
 # Structured text, compiled and run.
@@ -47,7 +46,7 @@ def program() -> CompiledProgram:
     """All three texts."""
     return CompiledProgram(
         {
-            name: (FOLDER / name).read_text(encoding="utf-8")
+            name: ((DOCS / "protocol") / name).read_text(encoding="utf-8")
             for name in ("types_twincat_codesys.st", "helpers.st", "fields.st")
         }
     )
@@ -219,7 +218,7 @@ def test_structured_text_reads_the_inputs_and_writes_the_outputs() -> None:
 @pytest.mark.parametrize("name", ["types_twincat_codesys.st", "helpers.st", "fields.st"])
 def test_a_parser_of_others_reads_the_text(name: str) -> None:
     blark = pytest.importorskip("blark.parse", reason="blark is not installed: make peers")
-    path = FOLDER / name
+    path = (DOCS / "protocol") / name
     (parsed,) = blark.parse(path)
     assert parsed.exception is None
     declared = re.findall(r"^FUNCTION (\w+)|^(\w+) : (?:STRUCT|ARRAY)", path.read_text(), re.MULTILINE)
@@ -231,7 +230,7 @@ def test_a_parser_of_others_reads_the_text(name: str) -> None:
 
 @pytest.mark.parametrize(("message", "data"), list(zip(MESSAGES, GOLDEN, strict=True)))
 def test_a_reader_with_the_json_alone_reads_every_datagram(message: Any, data: bytes) -> None:
-    layout = json.loads((FOLDER / "datagrams.json").read_text(encoding="utf-8"))
+    layout = json.loads(((DOCS / "protocol") / "datagrams.json").read_text(encoding="utf-8"))
     codes = {"BYTE": "B", "USINT": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
     names = {value: name for name, value in layout["enumerations"]["Kind"].items()}
     payload = layout["payloads"][names[data[6]]]
@@ -251,7 +250,7 @@ def test_a_reader_with_the_json_alone_reads_every_datagram(message: Any, data: b
 def test_a_reader_with_the_register_map_alone_reads_the_inputs() -> None:
     image = SensorImage(7, 9, 5, (1, -2, 3, -4, 5, -6), ((1.0, 2.5),) * 6, 190.0, 10.0, -4.25)
     words = encode_sensors(image)
-    with (FOLDER / "registers.csv").open(encoding="utf-8") as file:
+    with ((DOCS / "protocol") / "registers.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     read = {}
     for row in (row for row in rows if row["block"] == "inputs"):

@@ -20,7 +20,7 @@ from foundation.live.face import VIEWERS_MAX, LiveFace
 from foundation.live.feed import LiveFeed, access_of
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import MessageField, RecordSink, format_of, message_class
-from foundation.rest.access import ANYBODY_HERE, Access, Role
+from foundation.rest.guard import ANYBODY_HERE, Access, Role
 from tests.foundation.live.viewing import WITHIN_S, watching
 
 pytestmark = pytest.mark.realtime

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 
 from fastapi import FastAPI
 
-from foundation.rest.access import ANYBODY_HERE, Access
 from foundation.rest.door import Door
 from foundation.rest.door_connection import Stops
-from foundation.rest.guard import Guard, Refuse
+from foundation.rest.guard import ANYBODY_HERE, Access, Guard, Refuse
 from foundation.rest.problems import RefusalLines, RefusalLog
 from foundation.rest.server import RestServer, service_socket
 

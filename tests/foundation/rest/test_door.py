@@ -15,7 +15,7 @@ from fastapi import FastAPI
 from fastapi.responses import StreamingResponse
 
 from foundation.rest import door_connection
-from foundation.rest.access import Access
+from foundation.rest.guard import Access
 from foundation.rest.problems import DATA_HEADERS, Refusal
 from foundation.rest.server import install_problems
 from tests.foundation.rest.serving import serving

@@ -17,10 +17,9 @@ from pydantic import ValidationError
 
 from foundation.configuration import HostName, StrictModel
 from foundation.rest import door_connection
-from foundation.rest.access import ANYBODY_HERE, Access, GuardedRequest
-from foundation.rest.guard import Guard
+from foundation.rest.guard import ANYBODY_HERE, Access, Guard, GuardedRequest
+from foundation.rest.http_messages import MOST_BODY_BYTES
 from foundation.rest.problems import SECURITY_HEADERS, RefusalLog
-from foundation.rest.requests import MOST_BODY_BYTES
 from foundation.rest.server import install_problems
 from tests.foundation.rest.serving import serving
 from tests.support.log_lines import HeardLog

@@ -10,7 +10,7 @@ import pytest
 from fastapi import FastAPI
 
 from foundation.rest import tokens as no_token
-from foundation.rest.access import Access
+from foundation.rest.guard import Access
 from foundation.rest.server import install_problems
 from foundation.rest.tokens import NO_TOKEN, TokenSources, access_without_token, gateways
 from foundation.secret_source import SecretSource, write_new_secret

@@ -7,7 +7,14 @@ import h11
 import pytest
 
 from foundation.rest.door_connection import IDLE_S
-from foundation.rest.requests import MOST_HEAD_BYTES, Head, RequestUnreadable, spelling, take_body, take_head
+from foundation.rest.http_messages import (
+    MOST_HEAD_BYTES,
+    Head,
+    RequestUnreadable,
+    spelling,
+    take_body,
+    take_head,
+)
 from tests.support.hostile_http import KINDS
 
 PARTS = (

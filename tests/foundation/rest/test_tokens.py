@@ -14,9 +14,8 @@ from fastapi import FastAPI
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel
-from foundation.rest.access import Access, Role
-from foundation.rest.access import GuardedRequest as Request
-from foundation.rest.guard import Guard
+from foundation.rest.guard import Access, Guard, Role
+from foundation.rest.guard import GuardedRequest as Request
 from foundation.rest.problems import RefusalLog
 from foundation.rest.server import install_problems
 from foundation.rest.tokens import TokenSources, configured_access, is_loopback

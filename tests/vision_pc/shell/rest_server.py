@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 
-from foundation.rest.access import Access, Role
+from foundation.rest.guard import Access, Role
 from foundation.rest.server import RestServer, door, service_socket
 from tests.vision_pc.synthetic_station import Bench, bench
 from vision_pc.application.console.advice import advice

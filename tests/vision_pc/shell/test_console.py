@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
-from foundation.rest.access import Role
+from foundation.rest.guard import Role
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import FaultCode
 from tests.vision_pc.shell.rest_server import served_bench

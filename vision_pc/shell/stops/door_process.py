@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from foundation.child_process import ended, started
-from foundation.rest.access import Access
+from foundation.rest.guard import Access
 from foundation.rest.problems import RefusalLog
 from protocol.authentication import LinkKey
 from protocol.faults import CommandCode

@@ -4,7 +4,7 @@ import mmap
 import os
 from typing import NamedTuple
 
-from foundation.rest.access import Access
+from foundation.rest.guard import Access
 from protocol.authentication import LinkKey
 
 MOST_BYTES = 1 << 16  # of a message between the two

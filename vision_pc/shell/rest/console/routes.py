@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from foundation.periods import take_policy
-from foundation.rest.access import Role
 from foundation.rest.files import PageFiles, add_files, public_paths
+from foundation.rest.guard import Role
 from protocol.errors import LongreachError, RequestRefused
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
