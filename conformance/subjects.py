@@ -31,6 +31,7 @@ class LatenessWatch:
 
     def __init__(self) -> None:
         self._late_ms: list[float] = []
+        self._began_s = time.monotonic()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
 
@@ -44,10 +45,13 @@ class LatenessWatch:
 
     def _watch(self) -> None:
         while True:
-            began_s = time.monotonic()
+            self._began_s = time.monotonic()
             if self._ending.wait(PERIOD_S):
                 return
-            self._late_ms.append(max(time.monotonic() - began_s - PERIOD_S, 0.0) * 1e3)
+            self._late_ms.append(self._late_now_ms())
+
+    def _late_now_ms(self) -> float:
+        return max(time.monotonic() - self._began_s - PERIOD_S, 0.0) * 1e3
 
     @property
     def samples(self) -> int:
@@ -55,8 +59,8 @@ class LatenessWatch:
         return len(self._late_ms)
 
     def figures(self, since: int = 0) -> LatenessFigures:
-        """What was noted from sample ``since`` on."""
-        return figures_of(self._late_ms[since:])
+        """What was noted from sample ``since`` on, with the period that is not over yet."""
+        return figures_of([*self._late_ms[since:], self._late_now_ms()])
 
 
 def figures_of(late_ms: list[float]) -> LatenessFigures:

@@ -92,7 +92,7 @@ def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> 
     assert bad.exit_code == 1
     assert "0 pass, 0 flaky, 1 fail, 0 unsupported" in bad.output
     transcripts = {path.name for path in (tmp_path / "out" / "transcripts").iterdir()}
-    assert transcripts == {"102.txt", "102.first.txt"}
+    assert "102.txt" in transcripts
 
 
 def asked_of_a_sound_one(numbers: set[int]) -> None:

@@ -15,7 +15,8 @@ from conformance.case import CaseOutcome, Summary
 from conformance.parts import OptionalPart, Profile, profile_from
 from conformance.peer import Peer
 from conformance.records import write_records
-from conformance.runner import Manner, run_coupler, run_reference
+from conformance.runner import EXCUSED_MS, Manner, run_coupler, run_reference
+from conformance.subjects import LatenessFigures
 from conformance.wire import NonceSource
 from protocol.errors import ConfigurationError
 from protocol.server_session import ReferenceServer
@@ -175,17 +176,36 @@ def test_a_coupler_left_expired_is_reset_where_that_is_allowed_and_else_unsuppor
 # What is asked twice.
 
 
+class DropsItsFirstAnswer(ControllerUnderTest):
+    """Answers all requests but the first."""
+
+    dropped = 0
+
+    def answered(self, acknowledgement):  # type: ignore[no-untyped-def]
+        self.dropped += 1
+        return [] if self.dropped == 1 else [acknowledgement]
+
+
+def late_by(ms: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tester finds that it was so late."""
+    figures = LatenessFigures(1, 0.0, 0.0, ms)
+    monkeypatch.setattr("conformance.subjects.LatenessWatch.figures", lambda *_: figures)
+
+
 @simulated
-def test_what_fails_once_is_flaky_and_counts_as_passed(tmp_path: Path) -> None:
-    class DropsItsFirstAnswer(ControllerUnderTest):
-        """Answers all requests but the first."""
+def test_what_fails_once_has_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    late_by(EXCUSED_MS, monkeypatch)
+    with DropsItsFirstAnswer() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 401])
+    assert outcomes(summary) == {CONTROL: FAIL, 401: PASS}
+    assert len(summary.results[0].attempts) == 1
 
-        dropped = 0
 
-        def answered(self, acknowledgement):  # type: ignore[no-untyped-def]
-            self.dropped += 1
-            return [] if self.dropped == 1 else [acknowledgement]
-
+@simulated
+def test_what_fails_once_while_the_tester_is_late_is_flaky_and_counts_as_passed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late_by(EXCUSED_MS + 1.0, monkeypatch)
     with DropsItsFirstAnswer() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 401])
     assert outcomes(summary) == {CONTROL: FLAKY, 401: PASS}
@@ -203,7 +223,9 @@ def test_what_fails_once_is_flaky_and_counts_as_passed(tmp_path: Path) -> None:
 
 
 @simulated
-def test_what_fails_twice_failed_and_is_not_asked_a_third_time() -> None:
+def test_what_fails_twice_failed_and_is_not_asked_a_third_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    late_by(1000.0, monkeypatch)
+
     class NeverAnswers(ControllerUnderTest):
         """Has no answer to requests."""
 
