@@ -17,8 +17,8 @@ P = TypeVar("P")
 class CaseOutcome(Enum):
     """How a case ended.
 
-    FLAKY: it failed while the tester was late and, asked once more, passed. UNSUPPORTED: the peer lacks an optional part, or may not be
-    asked to use it.
+    FLAKY: it failed while the tester was late and, asked once more, passed. UNSUPPORTED: the peer lacks an
+    optional part, or may not be asked to use it.
     """
 
     PASS = "pass"

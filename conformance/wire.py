@@ -7,6 +7,7 @@ import time
 from typing import NamedTuple, TypeVar
 from zlib import crc32
 
+from conformance.noted import ENDINGS, Noted, went_on
 from conformance.parts import OptionalPart
 from protocol.authentication import ChannelKeys, DirectionKey, LinkKey, fault_of
 from protocol.datagram import Datagram, Header, decode, encode
@@ -20,7 +21,7 @@ from protocol.datagram_layout import (
 )
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
-from protocol.reference_messages import CAPABILITY_AUTHENTICATION, Bye, Heartbeat, Message, Welcome
+from protocol.reference_messages import CAPABILITY_AUTHENTICATION, Bye, Heartbeat, Message, State, Welcome
 
 LENGTH = 10
 _AFTER_CRC = CRC_OFFSET + CRC_BYTES
@@ -61,8 +62,8 @@ ANSWER_MS = 400
 SEQUENCES = 1 << 32
 _EXTENDED_SEQUENCES = 1 << 64
 _SESSION = slice(16, 24)
-# A session ends with these, so they are signed; the other reasons of BYE answer those who have no session.
-_ENDINGS = (Reason.ACCEPTED, Reason.PEER_RESTARTED, Reason.LINK_TIMEOUT, Reason.SHUTDOWN)
+# So many answers the socket of any tester holds.
+_HELD = 64
 
 M = TypeVar("M", bound=Message)
 
@@ -101,6 +102,7 @@ class NonceSource:
     """Nonces and command ids that rise through a whole run, from a random start."""
 
     def __init__(self, start: int) -> None:
+        self.noted = Noted()
         # Half of a nonce is none of the run, and below every id there is room.
         self._nonce = 2**61 + start % 2**61
         self._command_id = ((start % 2**21) << 32) + 2**16
@@ -138,6 +140,8 @@ class Wire:
         self.welcome: Welcome | None = None
         self.passed_over: list[Datagram] = []
         self._heartbeat_ns = 0
+        self._unread, self._flooded = 0, False
+        self._state: State | None = None
 
     def new_socket(self) -> socket.socket:
         """A socket from another port, towards the same controller."""
@@ -156,6 +160,11 @@ class Wire:
             pass
         for each in (self._socket, *self._others):
             each.close()
+
+    @property
+    def noted(self) -> Noted:
+        """What the run has noted of this controller."""
+        return self._nonces.noted
 
     @property
     def now_ns(self) -> int:
@@ -197,6 +206,8 @@ class Wire:
     def send_raw(self, data: bytes) -> bytes:
         """Sends these bytes as they are."""
         self._note("send", data)
+        self._unread += 1
+        self._flooded |= self._unread > _HELD
         self._socket.send(data)
         return data
 
@@ -273,6 +284,7 @@ class Wire:
             ready, _, _ = select.select([self._socket], [], [], max(wake_ns, 0) / 1e9)
             if ready:
                 return self._read_datagram()
+            self._unread = 0
             if self.now_ns >= until_ns:
                 return None
 
@@ -289,13 +301,16 @@ class Wire:
         except DatagramRefused as error:
             raise Failed(f"a datagram came that cannot be decoded: {error}") from error
         self._authenticate(data, datagram)
-        return datagram
+        self.noted.look(data, datagram, whole=not self._flooded)
+        message = went_on(datagram.message, self._state)
+        self._state = message if isinstance(message, State) else self._state
+        return datagram._replace(message=message)
 
     def _authenticate(self, data: bytes, datagram: Datagram) -> None:
         header, message = datagram
         key: DirectionKey | None = None
         if self.link_key is not None:
-            if isinstance(message, Bye) and message.reason not in _ENDINGS:
+            if isinstance(message, Bye) and message.reason not in ENDINGS:
                 return
             if isinstance(message, Welcome):
                 keys = self.link_key.of_client(message.client_nonce, header.session, message.boot_id)

@@ -14,11 +14,11 @@ from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched
 from conformance.reference.arm_transitions import entered, opened_stream
 from conformance.reference.framing import stop
-from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, require_reason
+from conformance.reference.motion import STEP_M, disabled, enabled, expect_reason, moved, require_reason
 from conformance.reference.streaming import BOTH, FEED_MS
-from conformance.wire import MS, Unsupported, require
+from conformance.wire import MS, require
 from protocol.axes_group import Mode
-from protocol.faults import CommandCode, GroupState, Reason, Severity
+from protocol.faults import CommandCode, Reason, Severity
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePath, ReferencePose, State, StreamRefused
 
@@ -49,12 +49,8 @@ def rarely(peer: Peer) -> tuple[StateWatch, Pose]:
 def enabled_rarely(peer: Peer) -> tuple[StateWatch, Pose]:
     """As ``rarely``, in STANDBY, with the pose that is held. Raises Unsupported when it cannot be enabled."""
     watch, _ = rarely(peer)
-    reason = peer.command(CommandCode.ENABLE)
-    if reason is not Reason.ACCEPTED:
-        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
-    state = first_after(watch)
-    require(state.group_state is GroupState.STANDBY, f"{state.group_state.name} after ENABLE")
-    return watch, state.X_BT_cmd
+    enabled(peer)
+    return watch, first_after(watch).X_BT_cmd
 
 
 def first_after(watch: StateWatch) -> State:

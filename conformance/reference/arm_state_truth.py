@@ -19,6 +19,7 @@ from protocol.pose import Pose
 from protocol.reference_messages import FLAG_PLANT_LINK_OK, FLAG_SETTLED, ReferencePose, State
 
 _ECHOES = 12
+_RAREST_MS = 100.0
 
 
 class Watched(NamedTuple):
@@ -46,28 +47,32 @@ class StateWatch:
         found = clock.estimate(peer.now_ns)
         require(found is not None, "no offset fits the echoes of the heartbeats")
         assert found is not None
+        assert peer.welcome is not None
+        # By so much more an instant is uncertain that STATE tells by the first of several.
+        self.period_ms = max(peer.welcome.state_period_ms, peer.welcome.cycle_ns / MS)
         self.offset_ns = found.offset_ns
         self.uncertainty_ms = found.uncertainty_ns / MS
 
     def next(self, wait_ms: float = 500.0) -> Watched:
         """The next STATE; raises Failed when none comes."""
-        state = self.peer.expect(State, "STATE", wait_ms)
+        return self._watched(self.peer.expect(State, "STATE", wait_ms))
+
+    def _watched(self, state: State) -> Watched:
         return Watched(state.time_ns - self.offset_ns, self.peer.now_ns, state)
 
     def during(self, wait_ms: float, until: Callable[[State], bool] = lambda state: False) -> list[Watched]:
-        """The STATEs of ``wait_ms``, or until one, the last, is as wanted."""
+        """The STATEs of ``wait_ms``, of a long one at least one, or until one, the last, is as wanted."""
         seen: list[Watched] = []
         until_ns = self.peer.now_ns + int(wait_ms * MS)
-        while self.peer.now_ns < until_ns:
-            seen.append(self.next())
-            if until(seen[-1].state):
-                break
-        return seen
-
-
-def angle_between(a: Sequence[float], b: Sequence[float]) -> float:
-    """The angle (rad) of the turn between two unit quaternions."""
-    return 2.0 * math.acos(min(1.0, abs(sum(x * y for x, y in zip(a, b, strict=True)))))
+        while (left_ns := until_ns - self.peer.now_ns) > 0:
+            datagram = self.peer.receive(left_ns / MS)
+            if datagram is not None and isinstance(datagram.message, State):
+                seen.append(self._watched(datagram.message))
+                if until(seen[-1].state):
+                    break
+            elif datagram is not None:
+                self.peer.passed_over.append(datagram)
+        return seen if seen or wait_ms < _RAREST_MS else [self.next()]
 
 
 def turned(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:

@@ -76,12 +76,15 @@ def silence_stops(peer: Peer) -> None:
 def _require_ramp(seen: list[tuple[float, Watched]], begins_ms: float, cycle_ms: float) -> None:
     """The way from STATE to STATE is shorter in the ramp than before it."""
     ways = [
-        (at_ms, math.dist(a.state.X_BT_cmd.p_m, b.state.X_BT_cmd.p_m) / max(b.state.cycle - a.state.cycle, 1))
-        for (_, a), (at_ms, b) in pairwise(seen)
+        (
+            *(from_ms, at_ms),
+            math.dist(a.state.X_BT_cmd.p_m, b.state.X_BT_cmd.p_m) / max(b.state.cycle - a.state.cycle, 1),
+        )
+        for (from_ms, a), (at_ms, b) in pairwise(seen)
         if b.state.group_state is GroupState.MOVING
     ]
-    before = [way for at_ms, way in ways if begins_ms - 4 * cycle_ms < at_ms < begins_ms - 1.0]
-    within = [way for at_ms, way in ways if at_ms > begins_ms + 1.0]
+    before = [way for _, at_ms, way in ways if begins_ms - 4 * cycle_ms < at_ms < begins_ms - 1.0]
+    within = [way for from_ms, _, way in ways if from_ms > begins_ms - 1.0]
     if before and within:  # scans that came late leave none in between
         require(within[-1] < 0.8 * max(before), "it is not slowed down before its valves are centred")
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.motion import STEP_M, disabled, expect_reason, moved, reach, require_reason
+from conformance.reference.motion import STEP_M, disabled, enabled, expect_reason, moved, require_reason
 from conformance.reference.streaming import BOTH, Stream
 from conformance.wire import ANSWER_MS, MS, Failed, Unsupported, require
 from protocol.axes_group import ANSWERS, GROUP_STATE, Asked, Mode, Transition
@@ -50,10 +50,7 @@ def _here(peer: Peer) -> ReachedMode:
 
 
 def _standby(peer: Peer) -> ReachedMode:
-    reason = peer.command(CommandCode.ENABLE)
-    if reason is not Reason.ACCEPTED:
-        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
-    here = reach(peer, GroupState.STANDBY, "after ENABLE").X_BT_cmd
+    here = enabled(peer).X_BT_cmd
     return ReachedMode(here, moved(here, dz=STEP_M))
 
 

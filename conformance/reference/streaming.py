@@ -12,6 +12,7 @@ from conformance.reference.motion import (
     DRIFT_M,
     STEP_M,
     disabled,
+    enabled,
     expect_reason,
     moved,
     reach,
@@ -91,10 +92,7 @@ def streamless(peer: Peer, period_ms: int = 20) -> State:
 def opened(peer: Peer, period_ms: int = 20) -> tuple[Stream, State]:
     """An open stream without a reference yet, and a STATE in it. Raises Unsupported when it cannot be."""
     streamless(peer, period_ms)
-    reason = peer.command(CommandCode.ENABLE)
-    if reason is not Reason.ACCEPTED:
-        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
-    reach(peer, GroupState.STANDBY, "after ENABLE")
+    enabled(peer)
     request = Command(peer.new_id(), CommandCode.START_STREAM)
     expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")
     return Stream(peer, request.command_id), reach(peer, GroupState.MOVING, "after START_STREAM")

@@ -21,7 +21,21 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "fields are copied as they lie: 1.1 is little-endian");
 
 enum { HEADER = 40, MAX_DATAGRAM = 1440, WAYPOINTS = 24, ANSWERS = 256, NONCES = 64, QUEUE = 64, WINDOW = 64 };
-enum { CYCLE_MS = 5, LINK_TIMEOUT_MS = 250, RATION_MS = 50, GREATEST_GAP = 65536 };
+/* What the page leaves to the controller; -DOTHERWISE chooses all of it otherwise. */
+#ifdef OTHERWISE
+enum { CYCLE_MS = 8, LINK_TIMEOUT_MS = 400, LEAST_PERIOD_MS = 2 * CYCLE_MS, PERIOD_STEP_MS = CYCLE_MS, SECOND_THOUGHTS = 1 };
+static const unsigned long long FIRST_CYCLE = 0xFFFFFFFFull - 50, CLOCK_ADDS = 0x8000000000000000ull - 1060000000000ull;
+static const unsigned FIRST_SEQUENCE = 0xFFFFFFF0u, FIRST_COUNT = 0xFFFFFFFEu;
+static const double FAR[2] = {0.4, 0.4}, TWIST = 0.6 / 1.7320508, GREATEST_AGE_S = 0.2, RAMP_S = 0.4, LAG_S = 0.08,
+                    SHORTEST_S = 0.1, LONGEST_S = 200, FIRST_POSE_M = 2.5;
+#else
+enum { CYCLE_MS = 5, LINK_TIMEOUT_MS = 250, LEAST_PERIOD_MS = 0, PERIOD_STEP_MS = 1, SECOND_THOUGHTS = 0 };
+static const unsigned long long FIRST_CYCLE = 0, CLOCK_ADDS = 0;
+static const unsigned FIRST_SEQUENCE = 0, FIRST_COUNT = 0;
+static const double FAR[2] = {0.5, 0.5236}, TWIST = 0.8 / 1.7320508, GREATEST_AGE_S = 0.25, RAMP_S = 0.25, LAG_S = 0.05,
+                    SHORTEST_S = 0.01, LONGEST_S = 600, FIRST_POSE_M = INFINITY;
+#endif
+enum { RATION_MS = 50, GREATEST_GAP = 65536 };
 enum { HELLO = 1, WELCOME, HEARTBEAT, HEARTBEAT_REPLY, REFERENCE_POSE, REFERENCE_PATH, COMMAND, ACKNOWLEDGEMENT, STATE,
        BYE, STREAMED_POSE, STREAM_REFUSED, KINDS };
 static const int PAYLOAD[KINDS] = {0, 32, 48, 8, 24, 72, 1376, 16, 32, 336, 8, 128, 32};
@@ -94,7 +108,6 @@ static bool approaching; /* MOVING after END_STREAM */
 
 static const double SPEED[2] = {0.25, 0.21}, ACCELERATION[2] = {0.35, 0.35}, JERK[2] = {3.0, 2.6}; /* m, rad */
 static const double AXIS = 1 / 1.7320508; /* the bounds of clause 12 are those of the vector */
-static const double FAR[2] = {0.5, 0.5236}, TWIST = 0.8 / 1.7320508, GREATEST_AGE_S = 0.25, RAMP_S = 0.25, LAG_S = 0.05, SHORTEST_S = 0.01, LONGEST_S = 600;
 static const double LOW[3] = {1.0, -3.0, -1.0}, HIGH[3] = {6.0, 3.0, 4.0};
 static const int SILENCE_MS = 100, STREAM_RAMP_MS = 12, RECOVERY_MS = 100, FIRST_REFERENCE_MS = 1000;
 
@@ -114,6 +127,8 @@ static void by_udp(const Byte *d, size_t n, const struct sockaddr_in *to) {
 /* The clock and the way out: a test puts its own in their place and calls receive and scan itself. */
 uint64_t (*now_ns)(void) = machine_ns;
 void (*transmit)(const Byte *d, size_t n, const struct sockaddr_in *to) = by_udp;
+
+static uint64_t clock_ns(void) { return now_ns() + CLOCK_ADDS; } /* from any start (1.7) */
 
 static uint64_t drawn(void) { /* not 0, and not to be computed (4.2) */
   uint64_t number = 0;
@@ -140,14 +155,14 @@ static void send_to(const struct sockaddr_in *to, int kind, const Byte *payload,
   PUT(uint64_t, d, 16, session);
   PUT(uint32_t, d, 24, sequence);
   PUT(uint32_t, d, 28, echo ? echo->newest : 0);
-  PUT(uint64_t, d, 32, now_ns());
+  PUT(uint64_t, d, 32, clock_ns());
   memcpy(d + HEADER, payload, (size_t)PAYLOAD[kind]);
   PUT(uint32_t, d, 12, sealed(d, (size_t)(HEADER + PAYLOAD[kind])));
   transmit(d, (size_t)(HEADER + PAYLOAD[kind]), to);
 }
 
 static void send_in(Session *s, int kind, const Byte *payload) {
-  send_to(&s->source, kind, payload, s->number, s->sequence++, s->minor, s);
+  send_to(&s->source, kind, payload, s->number, FIRST_SEQUENCE + s->sequence++, s->minor, SECOND_THOUGHTS ? NULL : s); /* 5.7 */
 }
 
 static bool refuse(const struct sockaddr_in *to, uint64_t session, int reason, uint64_t now) { /* 4.4 */
@@ -169,12 +184,14 @@ static bool is_stop(const Request *r) {
 }
 
 static Decision judge(const Request *r);
+static struct { uint64_t id; Decision d; } later[QUEUE]; static int waiting; /* answers that go out behind STATE */
 
 static void end_session(int reason) { /* what was set in motion in it ends in the next scan (7.5) */
   Byte bye[8] = {(Byte)reason};
   for (int k = 0; k < queued; k++)
     if (is_stop(&queue[k])) judge(&queue[k]); /* still judged (6.12), answered to nobody */
   if (reason) send_in(&open_session, BYE, bye);
+  waiting = 0;
   forget(&open_session);
   session_ended = true;
   queued = 0;
@@ -188,10 +205,17 @@ static void acknowledge(uint64_t id, Decision d) {
   send_in(&open_session, ACKNOWLEDGEMENT, p);
 }
 
+static void answer_now(void) {
+  for (int k = 0; k < waiting; k++) acknowledge(later[k].id, later[k].d);
+  waiting = 0;
+}
+
 static void decide(uint64_t id, Decision d) {
   for (int k = 0; k < ANSWERS; k++)
     if (open_session.answers[k].id == id) open_session.answers[k].decided = true, open_session.answers[k].answer = d;
-  acknowledge(id, d);
+  if (waiting == QUEUE) answer_now();
+  later[waiting].id = id, later[waiting++].d = d;
+  if (!SECOND_THOUGHTS) answer_now();
 }
 
 static Decision overtaken(uint64_t id, uint64_t by) { return (Decision){OVERTAKEN, (double)id, (double)by}; }
@@ -284,6 +308,11 @@ static void welcome(Session *s) {
   send_in(s, WELCOME, p);
 }
 
+static uint32_t granted_ms(uint32_t asked) { /* 4.2 */
+  int ms = (int)asked;
+  return (uint32_t)(ms < LEAST_PERIOD_MS ? LEAST_PERIOD_MS : ms > 50000 ? ms : (ms + PERIOD_STEP_MS - 1) / PERIOD_STEP_MS * PERIOD_STEP_MS);
+}
+
 static bool hello(const Byte *d, const struct sockaddr_in *from, uint64_t now) {
   const Byte *p = d + HEADER;
   uint64_t nonce = GET(uint64_t, p, 0), sent = GET(uint64_t, d, 32), arm = GET(uint64_t, p, 16);
@@ -303,7 +332,7 @@ static bool hello(const Byte *d, const struct sockaddr_in *from, uint64_t now) {
   if (grant.number && same(from, &grant.source) && sent < grant.hello_sent_ns) return false;
   forget(&grant);
   grant.number = drawn(), grant.nonce = nonce, grant.hello_sent_ns = sent, grant.granted_ns = now;
-  grant.capabilities = GET(uint64_t, p, 8) & (PATHS | STREAMING_CAPABILITY), grant.period_ms = GET(uint32_t, p, 24);
+  grant.capabilities = GET(uint64_t, p, 8) & (PATHS | STREAMING_CAPABILITY), grant.period_ms = granted_ms(GET(uint32_t, p, 24));
   grant.newest = GET(uint32_t, d, 24), grant.received = 1, grant.slot_ns = now, grant.source = *from;
   grant.least[0] = grant.least[1] = (int64_t)(now - sent);
   welcome(&grant);
@@ -313,7 +342,7 @@ static bool hello(const Byte *d, const struct sockaddr_in *from, uint64_t now) {
 static void heartbeat(const Byte *p, uint64_t received_ns) { /* 5.5 */
   Byte reply[24];
   memcpy(reply, p, 8);
-  PUT(uint64_t, reply, 8, received_ns); PUT(uint64_t, reply, 16, now_ns());
+  PUT(uint64_t, reply, 8, received_ns); PUT(uint64_t, reply, 16, clock_ns());
   send_in(&open_session, HEARTBEAT_REPLY, reply);
 }
 
@@ -450,6 +479,9 @@ static Decision follow(const Byte *poses, int count, double seconds, double dwel
   for (int k = 0; k < count && !d.reason; k++) d = is_pose(poses + 56 * k, k, count);
   if (!d.reason) d = times_fit(seconds, dwell_s);
   memcpy(from, at, sizeof at);
+  memcpy(pose, poses, sizeof pose);
+  double gap = sqrt((pose[0] - at[0]) * (pose[0] - at[0]) + (pose[1] - at[1]) * (pose[1] - at[1]) + (pose[2] - at[2]) * (pose[2] - at[2]));
+  if (!d.reason && gap > FIRST_POSE_M) d = (Decision){TOO_FAR, gap, FIRST_POSE_M};
   for (int k = 0; k < count && !d.reason; k++) {
     memcpy(pose, poses + 56 * k, sizeof pose);
     d = place_fits(pose);
@@ -660,34 +692,37 @@ static void publish(uint64_t now) { /* 7.7 */
   Session *s = &open_session;
   if (!s->number || now - s->state_ns < s->period_ms * 1000000ull) return;
   s->state_ns = s->state_ns && now - s->state_ns < 2 * s->period_ms * 1000000ull ? s->state_ns + s->period_ms * 1000000ull : now;
-  motion_done = motion_done || (arrived && settled()); /* not after a stop (7.8) */
+  motion_done = motion_done || (arrived && (SECOND_THOUGHTS || settled())); /* not after a stop (7.8) */
   Byte p[336] = {0};
   double pose[7];
-  PUT(uint64_t, p, 0, now); PUT(uint64_t, p, 8, cycle);
+  PUT(uint64_t, p, 0, now); PUT(uint64_t, p, 8, FIRST_CYCLE + cycle);
   PUT(uint16_t, p, 16, (uint16_t)GROUP_STATE[mode]); PUT(uint16_t, p, 18, (uint16_t)fault); PUT(uint16_t, p, 20, (uint16_t)severity);
   PUT(uint16_t, p, 22, (uint16_t)(1 | (mode == EMERGENCY ? 2 : 0) | (settled() ? 4 : 0) | (mode == STREAMING ? 8 : 0)));
   PUT(uint64_t, p, 24, motion_id); PUT(uint32_t, p, 32, motion_id && motion_done); PUT(uint32_t, p, 36, (uint32_t)path.segment);
   memcpy(p + 40, measured, sizeof at), memcpy(p + 88, at, sizeof at);
   for (int k = 0; k < 6 && driven(); k++) PUT(double, p, 136 + 8 * k, within((at[k] - measured[k]) * 20, 1));
   pose_of(measured, pose), memcpy(p + 184, pose, sizeof pose);
-  pose_of(at, pose), memcpy(p + 240, pose, sizeof pose);
-  PUT(double, p, 296, 190.0); PUT(uint32_t, p, 320, s->lost); PUT(uint32_t, p, 324, s->dropped);
+  pose_of(at, pose);
+  for (int k = 3; k < 7 && SECOND_THOUGHTS && cycle / 3 % 2; k++) pose[k] = -pose[k]; /* 1.5 */
+  memcpy(p + 240, pose, sizeof pose);
+  PUT(double, p, 296, 190.0); PUT(uint32_t, p, 320, FIRST_COUNT + s->lost); PUT(uint32_t, p, 324, FIRST_COUNT + s->dropped);
   PUT(uint32_t, p, 332, mode == STREAMING ? stream.number : 0);
   send_in(s, STATE, p);
 }
 
 void controller_take(const Byte *d, size_t n, const struct sockaddr_in *from) { /* a datagram, as it comes */
-  open_session.dropped += !receive(d, n, from, now_ns());
+  open_session.dropped += !receive(d, n, from, clock_ns());
 }
 
 void controller_scan(void) { /* every CYCLE_MS */
-  uint64_t now = now_ns();
+  uint64_t now = clock_ns();
   cycle++, scan_ns = now;
   watch_session(now);
   judge_all();
   judge_streamed(now);
   step_arm(CYCLE_MS * 1e-3, now);
   publish(now);
+  answer_now();
 }
 
 int main(int count, char **arguments) {

@@ -117,7 +117,10 @@ class SimulatedNetwork:
 
     def _due(self) -> list[int]:
         scans = [controller.next_ns for controller in self.controllers]
-        return scans + [s.inbox[0][0] for s in self.sockets.values() if s.inbox]
+        # What has come and is not read waits for a scan.
+        return scans + [
+            s.inbox[0][0] for s in self.sockets.values() if s.inbox and s.inbox[0][0] > self.now_ns
+        ]
 
     def modules(self) -> dict[str, SimpleNamespace]:
         """Stand-ins for the modules of time and of the network."""
