@@ -47,7 +47,7 @@ def reference_cases() -> tuple[ConformanceCase, ...]:
 
 def coupler_cases() -> tuple[ConformanceCase, ...]:
     """All cases for the coupler, by number."""
-    import_module("conformance.coupler.table")
+    import_module("conformance.coupler.sequences")
     return coupler.cases
 
 

@@ -201,7 +201,7 @@ class Play:
         pdu, before_ms = self._bytes(step.pdu), _now_ms()
         left_ms = int.from_bytes(self._by("a").done(pdu, "the time left")[2:], "big")
         least = step.time_ms - (_now_ms() - self._mark.earliest_ms) - 1.0  # whole milliseconds
-        most = min(step.time_ms - (before_ms - self._mark.latest_ms) + 1.0, step.time_ms)
+        most = max(min(step.time_ms - (before_ms - self._mark.latest_ms) + 1.0, step.time_ms), 0.0)
         require(least <= left_ms <= most, f"{left_ms} ms left, wanted {least:.1f} to {most:.1f}")
 
     def _send(self, step: Send) -> None:

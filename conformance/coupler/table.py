@@ -363,7 +363,7 @@ PLANT_WRITTEN: tuple[tuple[int, str, str, list[Step]], ...] = (
 )  # fmt: skip
 
 
-def _play(steps: list[Step], plant: bool, master: Master) -> None:
+def play(steps: list[Step], plant: bool, master: Master) -> None:
     if plant:
         require_this_plant(master)
     Play(master).run(steps)
@@ -373,4 +373,4 @@ for rows, writes, of_this_plant in (
     (READING, False, False), (WRITING, True, False), (PLANT, False, True), (PLANT_WRITTEN, True, True),
 ):  # fmt: skip
     for number, clause, title, steps in rows:
-        coupler.case(number, clause, title, motion=writes)(partial(_play, steps, of_this_plant))
+        coupler.case(number, clause, title, motion=writes)(partial(play, steps, of_this_plant))
