@@ -15,10 +15,14 @@ from protocol.errors import LinkLost
 
 # Loading a module enters its cases.
 _MODULES = (
-    "framing", "sessions", "handshake", "order", "requests", "motion", "endings", "streaming",
-    "authentication", "answers", "datagrams_sent", "datagram_refusals", "datagram_drops",
-    "datagram_clocks", "arm_transitions", "arm_state_truth", "arm_state_scan", "arm_motion_times",
-    "arm_stream_times", "arm_stream_following",
+    "reference.framing", "reference.sessions", "reference.handshake", "reference.order", "reference.requests",
+    "reference.motion", "reference.endings", "reference.streaming", "reference.authentication",
+    "reference.answers", "reference.datagrams_sent", "reference.datagram_refusals",
+    "reference.datagram_drops", "reference.arm_transitions",
+    "reference.arm_state_truth", "reference.arm_state_scan", "reference.arm_motion_times",
+    "reference.arm_stream_times", "reference.arm_stream_following", "classes.long_numbers",
+    "classes.real_numbers", "classes.bursts",
+    "classes.many_peers",
 )  # fmt: skip
 
 
@@ -41,7 +45,7 @@ EXCUSED_MS = 5.0
 def reference_cases() -> tuple[ConformanceCase, ...]:
     """All cases for the reference link, by number."""
     for module in _MODULES:
-        import_module(f"conformance.reference.{module}")
+        import_module(f"conformance.{module}")
     return reference.cases
 
 
@@ -171,8 +175,10 @@ class _Asking:
         both = (first, again)
         if again.outcome is not CaseOutcome.PASS:
             return Result(case, CaseOutcome.FAIL, first.detail, both)
-        why = f"the tester was {first.late_ms:.0f} ms late; passed when asked again; at first: {first.detail}"
-        return Result(case, CaseOutcome.FLAKY, why, both)
+        said = (
+            f"the tester was {first.late_ms:.0f} ms late; passed when asked again; at first: {first.detail}"
+        )
+        return Result(case, CaseOutcome.FLAKY, said, both)
 
     def _reason_not_to_ask(self, case: ConformanceCase) -> tuple[CaseOutcome, str] | None:
         """Outcome and reason of a case that need not be asked, or None."""
@@ -194,7 +200,7 @@ class _Asking:
         samples, begin_s = self._watch.samples, time.monotonic()
         outcome, detail = CaseOutcome.PASS, ""
         try:
-            peer = self._subject.open(self._findings)
+            peer = self._subject.open(self._findings, case.number)
         except OSError as error:
             return Attempt(CaseOutcome.FAIL, f"no connection: {error.strerror or error}", 0.0, ())
         try:

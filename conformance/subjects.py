@@ -198,8 +198,8 @@ class Subject(Protocol):
         """What a look at it shows; raises LinkLost."""
         ...
 
-    def open(self, findings: Findings) -> Peer | Master:
-        """A fresh tester's end for one case; raises OSError."""
+    def open(self, findings: Findings, number: int) -> Peer | Master:
+        """A fresh tester's end for the case ``number``; raises OSError."""
         ...
 
 
@@ -229,8 +229,9 @@ class ControllerSubject(NamedTuple):
         """What a look at it shows; raises LinkLost."""
         return look_at_controller(self._peer())
 
-    def open(self, findings: Findings) -> Peer:
+    def open(self, findings: Findings, number: int) -> Peer:
         """A peer from a port of its own."""
+        self.nonces.noted.case = number
         return self._peer()
 
     def _peer(self) -> Peer:
@@ -255,6 +256,6 @@ class CouplerSubject(NamedTuple):
         """What a look at it shows; raises LinkLost."""
         return look_at_coupler(self.host, self.port, self.unit, outputs=self.outputs)
 
-    def open(self, findings: Findings) -> Master:
+    def open(self, findings: Findings, number: int) -> Master:
         """A connection of its own."""
         return Master(self.host, self.port, self.unit, outputs=self.outputs, left_expired=findings.expired)

@@ -1,4 +1,4 @@
-"""Cases 590…595: every field of a STATE is of the scan that its time names (7.7, 12.3); valves by joint.
+"""Cases 590…595: every field of a STATE is of the scan that its time names (7.7, 12.3); signs of joints.
 
 STATEs are asked for so rarely that a field of the STATE before is older than any slack.
 """
@@ -11,10 +11,19 @@ from itertools import pairwise
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched
+from conformance.reference.arm_state_truth import StateWatch, turned_in_base
 from conformance.reference.arm_transitions import entered, opened_stream
 from conformance.reference.framing import stop
-from conformance.reference.motion import STEP_M, disabled, enabled, expect_reason, moved, require_reason
+from conformance.reference.motion import (
+    STEP_M,
+    angle_between,
+    disabled,
+    enabled,
+    expect_reason,
+    moved,
+    reference_reason,
+    require_reason,
+)
 from conformance.reference.streaming import BOTH, FEED_MS
 from conformance.wire import MS, require
 from protocol.axes_group import Mode
@@ -89,13 +98,13 @@ def counts_of_the_scan(peer: Peer) -> None:
     before = first_after(watch)
     held = [peer.encoded(stop(peer)) for _ in range(3)]
     peer.alive("behind a gap of 3")
-    lost = _difference(first_after(watch).references_lost, before.references_lost)
+    lost = first_after(watch).references_lost - before.references_lost
     require(lost == 3, f"{lost} lost of a gap of 3")
     peer.send_raw(held[1])
     peer.alive("behind a late one")
     state = first_after(watch)
-    lost = _difference(state.references_lost, before.references_lost)
-    gone = _difference(state.references_dropped, before.references_dropped)
+    lost = state.references_lost - before.references_lost
+    gone = state.references_dropped - before.references_dropped
     require((lost, gone) == (2, 1), f"{lost} lost of a gap of 3 of which one came late, {gone} dropped")
     for code, severity in (
         (CommandCode.EMERGENCY_STOP, Severity.EMERGENCY),
@@ -105,11 +114,6 @@ def counts_of_the_scan(peer: Peer) -> None:
         require_reason(peer, code, Reason.ACCEPTED, "turn")
         state = first_after(watch)
         require(state.severity is severity, f"severity {state.severity.name} after {code.name}")
-
-
-def _difference(later: int, earlier: int) -> int:
-    """Counts wrap."""
-    return (later - earlier) % 2**32
 
 
 @case(592, "7.7", "in motion, and where it is cut off, STATE is of its scan, not of the STATE before")
@@ -209,42 +213,98 @@ def number_of_the_scan(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-def _there_and_back(watch: StateWatch, goal: Pose, here: Pose) -> list[State]:
-    peer = watch.peer
-    seen: list[Watched] = []
-    for pose in (goal, here):
-        request = ReferencePose(peer.new_id(), pose, 1.2)
-        expect_reason(peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion")
-        seen += watch.during(1400.0)
-    return [each.state for each in seen]
+TURN_RAD, SECONDS, SETTLES_MS = 0.04, 1.2, 700.0
+# Of the way of the busiest joint: from so far on a joint's own says something.
+MOVES = 0.3
+# What an arm that follows is from its command.
+NEAR_M, NEAR_RAD = 5e-3, 1e-2
+# By so much per radian (m, rad) a joint does move T that way.
+ACTS = 0.2
+SLEW, LIFT, TILT, UP, ABOUT_UP = 0, 1, 2, 2, 5
 
 
-def _together(valve: Sequence[float], speed: Sequence[float]) -> float:
-    """How much a valve goes with a speed: their covariance, times their number."""
-    mean = sum(valve) / len(valve)
-    return sum((v - mean) * s for v, s in zip(valve, speed, strict=True))
+def _goals(here: Pose) -> list[Pose]:
+    axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    return [*(moved(here, *(STEP_M * c for c in axis)) for axis in axes),
+            *(turned_in_base(here, TURN_RAD, axis) for axis in axes)]  # fmt: skip
 
 
-def _ranges(angles: Sequence[Sequence[float]]) -> list[float]:
-    return [max(each) - min(each) for each in zip(*angles, strict=True)]
+def _way(watch: StateWatch, goal: Pose) -> list[State]:
+    before = watch.next().state
+    expect_reason(reference_reason(watch.peer, goal, SECONDS), Reason.ACCEPTED, "a small motion")
+    return [before, *(each.state for each in watch.during(1e3 * SECONDS + SETTLES_MS))]
 
 
-@case(595, "7.7", "the valve of a joint that moves goes with its speed, more than that of one that rests")
-def valves_by_joint(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
+def _together(a: Sequence[float], b: Sequence[float]) -> float:
+    """How much two go together: their covariance, times their number."""
+    mean = sum(a) / len(a)
+    return sum((x - mean) * y for x, y in zip(a, b, strict=True))
+
+
+def _require_driven(states: list[State], there: State, what: str) -> None:
+    commanded, measured = ([*zip(*rows, strict=True)] for rows in (
+        [s.q_cmd for s in states], [s.q_meas for s in states]))  # fmt: skip
+    asked, ways = ([max(each) - min(each) for each in joints] for joints in (commanded, measured))
+    gains = []
+    for j in range(6):
+        speeds = [b - a for a, b in pairwise(measured[j])]
+        gains.append(_together([s.valves[j] for s in states[1:]], speeds))
+        if asked[j] > MOVES * max(asked):
+            goes = _together(commanded[j], measured[j])
+            require(goes > 0.0, f"{what}: q_meas of joint {j + 1} goes against q_cmd")
+            follows = ways[j] > FOLLOWS * asked[j]
+            require(not follows or gains[j] > 0.0, f"{what}: the valve of joint {j + 1} drives it backwards")
+    mover = max(range(6), key=asked.__getitem__)
+    for j in (
+        j for j in range(6) if asked[j] < RESTS * asked[mover] and ways[mover] > FOLLOWS * asked[mover]
+    ):
+        speeds = [b - a for a, b in pairwise(measured[mover])]
+        gain = _together([s.valves[j] for s in states[1:]], speeds)
+        require(abs(gain) < gains[mover], f"{what}: joint {j + 1} rests, but its valve is driven")
+    for last in (there, states[-1]):
+        _require_near(last, what)
+
+
+def _require_near(last: State, what: str) -> None:
+    off_m = math.dist(last.X_BT.p_m, last.X_BT_cmd.p_m)
+    off_rad = angle_between(last.X_BT.q_wxyz, last.X_BT_cmd.q_wxyz)
+    said = f"{what}: X_BT is {off_m * 1e3:.1f} mm and {off_rad * 1e3:.0f} mrad from X_BT_cmd"
+    require(off_m < NEAR_M and off_rad < NEAR_RAD, said)
+
+
+def _solved(rows: list[list[float]], right: list[float]) -> list[float]:
+    """x of rows · x = right; 0 where the rows leave it open."""
+    system = [[*row, r] for row, r in zip(rows, right, strict=True)]
+    size = len(rows)
+    for k in range(size):
+        best = max(range(k, size), key=lambda i: abs(system[i][k]))
+        system[k], system[best] = system[best], system[k]
+        if abs(system[k][k]) < 1e-9:
+            return [0.0] * size
+        for i in range(size):
+            factor = system[i][k] / system[k][k] if i != k else 0.0
+            system[i] = [a - factor * b for a, b in zip(system[i], system[k], strict=True)]
+    return [row[size] / row[k] for k, row in enumerate(system)]
+
+
+@reference.case(
+    595, "1.6", "each joint goes as its command and its valve say, and as its sign says", motion=True
+)
+def signs(peer: Peer) -> None:
+    here = entered(peer, Mode.STANDBY).here
     watch = StateWatch(peer)
-    for goal in (moved(scene.here, dz=STEP_M), moved(scene.here, dy=STEP_M)):
-        states = _there_and_back(watch, goal, scene.here)
-        ways, asked = _ranges([s.q_meas for s in states]), _ranges([s.q_cmd for s in states])
-        mover = max(range(6), key=asked.__getitem__)
-        if ways[mover] < FOLLOWS * asked[mover]:
-            continue  # an arm that hardly follows tells nothing here
-        speeds = [b.q_meas[mover] - a.q_meas[mover] for a, b in pairwise(states)]
-        gains = [_together([s.valves[j] for s in states[1:]], speeds) for j in range(6)]
-        require(gains[mover] > 0.0, f"the valve of joint {mover + 1} does not go with the joint's speed")
-        for j in (j for j in range(6) if asked[j] < RESTS * asked[mover]):
-            said = (
-                f"joint {mover + 1} moves and joint {j + 1} rests, but the valve of joint {j + 1} is driven"
-            )
-            require(abs(gains[j]) < gains[mover], said)
+    turns: list[list[float]] = []
+    for axis, goal in enumerate(_goals(here)):
+        what = f"along axis {axis + 1}" if axis < 3 else f"about axis {axis - 2}"
+        there = _way(watch, goal)
+        turns.append([b - a for a, b in zip(there[0].q_cmd, there[-1].q_cmd, strict=True)])
+        _require_driven([*there, *_way(watch, here)], there[-1], what)
+
+    def per_radian(axis: int) -> list[float]:
+        step = STEP_M if axis < 3 else TURN_RAD
+        return _solved(turns, [step if k == axis else 0.0 for k in range(6)])
+
+    for axis, joint, name in ((UP, LIFT, "lift"), (UP, TILT, "tilt"), (ABOUT_UP, SLEW, "slew")):
+        acts = per_radian(axis)[joint]
+        require(acts > -ACTS, f"positive {name} moves T by {acts:.2f} per radian the other way")
     peer.command(CommandCode.STOP)

@@ -13,7 +13,6 @@ from protocol.datagram import Header, encode
 from protocol.datagram_layout import CRC_BYTES, CRC_OFFSET, TAG_BYTES, TRAILER_BYTES
 from protocol.faults import Reason
 from protocol.reference_messages import (
-    Acknowledgement,
     Bye,
     Heartbeat,
     HeartbeatReply,
@@ -120,17 +119,6 @@ def replayed(peer: Peer) -> None:
     refused(peer, [data] * 3, "its replay behind later datagrams")
 
 
-@case(710, "11.7", "a replay far behind the window is not used")
-def replayed_late(peer: Peer) -> None:
-    opened(peer)
-    data = peer.encoded(stop(peer))
-    peer.send_raw(data)
-    peer.answers("the request itself")
-    peer.sequence += 200
-    peer.alive("after a gap of 200")
-    refused(peer, [data] * 3, "a replay 200 numbers later")
-
-
 @case(711, "11.7", "numbers have 64 bits: one that is new modulo 2^32 alone is not used")
 def extended(peer: Peer) -> None:
     opened(peer, sequence=SEQUENCES - 4)
@@ -144,28 +132,6 @@ def extended(peer: Peer) -> None:
         stop(peer), Header(peer.session, newest + 1 - SEQUENCES, peer.now_ns, minor=peer.minor), key
     )
     refused(peer, [wrapped], "a number 2^32 behind the next one")
-
-
-@case(712, "11.6", "a recorded session is refused whole in the next one")
-def other_session(peer: Peer) -> None:
-    opened(peer)
-    for _ in range(5):
-        peer.ask(stop(peer), "the first session")
-        peer.alive("the first session")
-    recorded = [line.data for line in peer.transcript if line.direction == "send"]
-    peer.leave()
-    opened(peer)
-    bent = []
-    for data in recorded:
-        renumbered = bytearray(data)
-        renumbered[16:24] = peer.session.to_bytes(8, "little")
-        bent += [data, resealed(bytes(renumbered))]
-    for data in bent:
-        peer.send_raw(data)
-    got = [d.message for d in peer.collect(100)]
-    answered = [m for m in got if isinstance(m, Acknowledgement | Welcome)]
-    require(not answered, f"{len(answered)} answers to a recorded session")
-    peer.alive("after a recorded session")
 
 
 @case(713, "11.8", "a datagram that is not under the keys of WELCOME does not begin the session")

@@ -211,19 +211,6 @@ def bent_bye(peer: Peer) -> None:
     peer.alive("after a BYE from another port")
 
 
-@case(250, "3.5", "a repeated datagram of any kind is used once")
-def every_kind_once(peer: Peer) -> None:
-    for message in messages_of_a_client(peer):
-        data = peer.encoded(message)
-        for _ in range(3):
-            peer.send_raw(data)
-        used = [d.message for d in peer.collect(peer.grace_ms) if _is_use(d.message)]
-        require(len(used) == 1, f"{type(message).__name__} three times: {len(used)} answers")
-        peer.send_raw(data)  # a request that was answered would be answered again
-        used = [d.message for d in peer.collect(peer.grace_ms) if _is_use(d.message)]
-        require(not used, f"{type(message).__name__} once more, after its answer: {used}")
-
-
 @case(251, "3.5", "what is dropped begins no session: that in use goes on beside the one that is granted")
 def drops_begin_nothing(peer: Peer) -> None:
     peer.open()
@@ -308,19 +295,6 @@ def disorder_is_nothing(peer: Peer) -> None:
             require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
             return
     raise Failed("the session lived on datagrams that came in no order")
-
-
-@case(254, "3.5", "a datagram from another port, or of another minor version, is not answered at all")
-def not_even_refused(peer: Peer) -> None:
-    peer.open()
-    other = peer.second()
-    peer.collect(RATION_MS)
-    other.send_raw(peer.encoded(stop(peer)))
-    came = other.collect(40, beating=False)
-    require(not came, f"another port was answered: {[d.message for d in came]}")
-    peer.send(stop(peer), minor=peer.minor + 1)
-    byes = [d.message for d in peer.collect(40) if isinstance(d.message, Bye)]
-    require(not byes, f"another minor version was answered: {byes}")
 
 
 @case(

@@ -198,21 +198,3 @@ def nonces_remembered(peer: Peer) -> None:
     for nonce in (nonces[0], nonces[1], nonces[-1]):
         hello(peer, nonce)
     require(not welcomes(peer), "the nonce of one of the last 64 sessions was welcome")
-
-
-@case(247, "8", "strangers are answered at most once in 50 ms, but are, and the session does not suffer")
-def rationed_not_silenced(peer: Peer) -> None:
-    peer.open(period_ms=20)
-    other = peer.second()
-    peer.collect(RATION_MS)
-    begin_ns = peer.now_ns
-    answers = 0
-    while peer.now_ns < begin_ns + STRANGERS_MS * MS:
-        hello(other, other.nonce())
-        answers += len(other.collect(4, beating=False))
-        peer.collect(1)
-    elapsed_ms = (peer.now_ns - begin_ns) / MS
-    require(answers <= elapsed_ms / 50 + 2, f"{answers} answers in {elapsed_ms:.0f} ms")
-    require(answers >= elapsed_ms / 200, f"only {answers} answers in {elapsed_ms:.0f} ms")
-    states = [d for d in peer.collect(200) if isinstance(d.message, State)]
-    require(len(states) >= 3, "STATE stopped while strangers were refused")

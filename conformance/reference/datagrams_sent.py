@@ -1,74 +1,43 @@
-"""Cases 130…: what the controller sends, field by field (clauses 1.7, 1.8, 3.1, 3.4, 4.2, 4.4 and 9.1)."""
+"""Cases 130… and 891…: what the controller sends, field by field, and what holds of all that comes."""
 
 import itertools
 
 from conformance.case import reference
+from conformance.noted import Always
+from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
+from conformance.reference.arm_transitions import entered
 from conformance.reference.authentication import OTHER_KEY, opened, signed
 from conformance.reference.authentication import case as key_case
-from conformance.reference.datagram_clocks import WINDOW, tallies
-from conformance.reference.framing import MAJOR, SPARE, refused, stop
+from conformance.reference.framing import MAJOR, refused, stop
 from conformance.reference.handshake import granted, require_begun
+from conformance.reference.order import WINDOW, tallies
+from conformance.reference.streaming import Stream
 from conformance.wire import ANSWER_MS, MS, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
+from protocol.axes_group import Mode
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import (
-    FLAG_AUTHENTICATED,
-    FLAG_ECHO_VALID,
     HEADER_BYTES,
-    PAYLOADS,
     TRAILER_BYTES,
-    Kind,
-    offsets,
 )
-from protocol.faults import Reason
-from protocol.reference_messages import Bye, Heartbeat, HeartbeatReply, Hello, State, Welcome
+from protocol.faults import CommandCode, Reason
+from protocol.reference_messages import (
+    Bye,
+    Command,
+    Heartbeat,
+    HeartbeatReply,
+    Hello,
+    ReferencePose,
+    State,
+    Welcome,
+)
 
 case = reference.case
 KIND, FLAGS = 6, 8
 SESSIONS = 8
 # Two of a few dozen sound session numbers are nearer to one another once in 10^8 runs.
 LEAST_BITS = 8
-
-
-def every_kind(peer: Peer) -> list[bytes]:
-    """The datagrams of a session in which the controller sends one of each kind that it knows here."""
-    peer.open(period_ms=0)
-    request = stop(peer)
-    peer.ask(request, "STOP")
-    peer.alive("HEARTBEAT")
-    peer.collect(50)
-    session = peer.session
-    peer.leave()
-    peer.collect(RATION_MS, beating=False)
-    peer.send(request, session=session)
-    peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE")
-    came = [line.data for line in peer.transcript if line.direction == "receive"]
-    kinds = {data[KIND] for data in came}
-    expected = {Kind.WELCOME, Kind.HEARTBEAT_REPLY, Kind.ACKNOWLEDGEMENT, Kind.STATE, Kind.BYE}
-    require(expected <= kinds, f"kinds {sorted(kinds)} came, wanted {sorted(expected)}")
-    return came
-
-
-@case(130, "1.8", "spare and padding bytes are sent as zero, in every kind of datagram")
-def clean(peer: Peer) -> None:
-    for data in every_kind(peer):
-        kind = Kind(data[KIND])
-        require(data[SPARE] == 0, f"{kind.name}: spare byte {data[SPARE]:#x}")
-        fields = PAYLOADS[kind]
-        for field, offset in zip(fields, offsets(fields), strict=True):
-            if field.code == "x":
-                at = HEADER_BYTES + offset
-                padding = data[at : at + field.size]
-                require(not any(padding), f"{kind.name}: padding {padding.hex()} at byte {at}")
-
-
-@case(131, "9.1", "no flag is sent that the negotiated minor version does not have")
-def known_flags(peer: Peer) -> None:
-    known = FLAG_ECHO_VALID | (FLAG_AUTHENTICATED if peer.link_key else 0)
-    for data in every_kind(peer):
-        flags = int.from_bytes(data[FLAGS : FLAGS + 2], "little")
-        require(flags & ~known == 0, f"{Kind(data[KIND]).name}: flags {flags:#06x}")
 
 
 @case(132, "4.4", "BYE to those without a session: sequence 0, and session 0 or the one asked for")
@@ -108,16 +77,6 @@ def last_word(peer: Peer) -> None:
     peer.session = 0
 
 
-@case(134, "5.1", "WELCOME has the controller's first number in the session")
-def first_number(peer: Peer) -> None:
-    peer.open()
-    datagrams = [d for d in _receive_all(peer) if d.header.session == peer.session]
-    numbers = [d.header.sequence for d in datagrams]
-    steps = {(b - a) % peer.sequences for a, b in itertools.pairwise(numbers)}
-    require(isinstance(datagrams[0].message, Welcome), "something came before WELCOME")
-    require(steps == {1}, f"steps of {sorted(steps)} from WELCOME on")
-
-
 @case(135, "4.2", "what WELCOME says of the controller is the same in every session")
 def same_controller(peer: Peer) -> None:
     seen = []
@@ -126,17 +85,6 @@ def same_controller(peer: Peer) -> None:
         seen.append(welcome._replace(client_nonce=0))
         peer.leave()
     require(len(set(seen)) == 1, f"{seen[0]}, then {seen[-1]}")
-
-
-@case(136, "4.2", "the capabilities granted are those that both can use, for every offer")
-def both_can(peer: Peer) -> None:
-    can = peer.open(capabilities=3).capabilities
-    peer.leave()
-    for offered in (0, 1, 2, 3, 2, 1, 0):
-        granted = peer.open(capabilities=offered).capabilities
-        expected = can & (offered | peer.required)
-        require(granted == expected, f"{granted:#x} of {offered:#x}: the controller can {can:#x}")
-        peer.leave()
 
 
 @case(137, "4.2", f"the numbers of {SESSIONS} sessions cannot be told from one another")
@@ -318,3 +266,50 @@ def hints_are_unsigned(peer: Peer) -> None:
     require(datagram.header.session == 0, "BYE to a stranger names a session")
     states = [d for d in peer.collect(100) if isinstance(d.message, State)]
     require(bool(states), "the session suffered")
+
+
+WATCHED_MS, LONG_MS = 60.0, 700.0
+AT_REST = (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY)
+
+
+def tour(peer: Peer, modes: tuple[Mode, ...]) -> None:
+    """Whatever a controller sends, in each of ``modes``."""
+    for mode in modes:
+        scene = entered(peer, mode)
+        assert peer.welcome is not None
+        again = Hello(peer.welcome.client_nonce, 3 | peer.required, 0, 0)
+        (scene.stream or Stream(peer, peer.new_id())).give(scene.here)
+        peer.send(again, session=0)
+        unknown = peer.encoded(stop(peer))
+        peer.send_raw(peer.with_number(unknown, 48, "I", 99))
+        peer.send(ReferencePose(peer.new_id(), scene.goal, -1.0))
+        peer.send(Command(peer.new_id(), CommandCode.RESET if mode is Mode.STANDBY else CommandCode.ENABLE))
+        peer.collect(LONG_MS if mode is Mode.DISABLED else WATCHED_MS)
+        granted(peer)
+        session = peer.session
+        peer.leave()
+        peer.collect(RATION_MS, beating=False)
+        peer.send(Bye(Reason.SHUTDOWN), session=granted(peer))
+        peer.send(stop(peer), session=session)
+        peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE")
+
+
+def _enter(number: int, always: Always) -> None:
+    def run(peer: Peer) -> None:
+        if not peer.noted.toured:
+            tour(peer, AT_REST)
+            peer.noted.toured = True
+        require(always not in peer.noted.breaches, peer.noted.breaches.get(always, ""))
+
+    clause, says = always.value
+    case(number, clause, f"in all that comes {says}")(run)
+
+
+for _number, _always in enumerate(Always, 891):
+    _enter(_number, _always)
+
+
+@case(899, "7.7", "and the same in every mode", motion=True, needs=OptionalPart.STREAMING)
+def in_every_mode(peer: Peer) -> None:
+    tour(peer, tuple(Mode))
+    require(not peer.noted.breaches, "; ".join(peer.noted.breaches.values()))

@@ -2,10 +2,8 @@
 
 import math
 from collections.abc import Iterable
-from itertools import product
 
 from conformance.case import reference
-from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
 from conformance.reference.motion import (
@@ -19,13 +17,12 @@ from conformance.reference.motion import (
     require_reason,
     standby,
 )
-from conformance.wire import MS, Unsupported, require
-from protocol.axes_group import ANSWERS, Asked, Mode
+from conformance.wire import MS, require
+from protocol.axes_group import Asked, Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     Acknowledgement,
-    Bye,
     Command,
     Heartbeat,
     Message,
@@ -227,104 +224,6 @@ _FROM_DISABLED: dict[Mode, tuple[CommandCode, ...]] = {
     Mode.ERROR_HELD: (CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE),
     Mode.EMERGENCY: (CommandCode.EMERGENCY_STOP,),
 }
-
-
-def _burst(peer: Peer, *requests: tuple[Message, int]) -> None:
-    """Messages, each in its session, within the time of a datagram: in one scan, but for a few."""
-    for data in [peer.encoded(message, session=session) for message, session in requests]:
-        peer.send_raw(data)
-
-
-@case(423, "6.12", "EMERGENCY_STOP is judged though its session ends in the same scan, by BYE or a restart")
-def stop_and_end(peer: Peer) -> None:
-    for end in ("BYE", "restart", "BYE", "restart"):
-        disabled(peer)
-        stopping = Command(peer.new_id(), CommandCode.EMERGENCY_STOP), peer.session
-        if end == "BYE":
-            _burst(peer, stopping, (Bye(Reason.SHUTDOWN), peer.session))
-        else:
-            _burst(peer, stopping, (Heartbeat(peer.now_ns), granted(peer)))
-        peer.session = 0
-        peer.open(period_ms=20)
-        latched = bool(peer.state().flags & FLAG_EMERGENCY_LATCHED)
-        require(latched, f"EMERGENCY_STOP was forgotten at {end}")
-
-
-def _to_mode(peer: Peer, mode: Mode) -> None:
-    """From wherever the group is at rest, by commands that move nothing; STANDBY only with an ENABLE."""
-    for code in (*_TO_DISABLED, *_FROM_DISABLED[mode]):
-        reason = peer.command(code)
-        if code is CommandCode.ENABLE and reason is Reason.PLANT_NOT_READY:
-            raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
-        require(reason in _DONE, f"{code.name} on the way to {mode.name}: {reason.name}")
-
-
-def _modes(mode: Mode, *asked: Asked) -> list[Mode]:
-    """The modes that ``asked`` lead through, one after the other."""
-    seen = [mode]
-    for each in asked:
-        seen.append(ANSWERS[seen[-1], each].mode)
-    return seen
-
-
-def _judge_pair(peer: Peer, mode: Mode, first: Asked, second: Asked) -> None:
-    """Both in one burst: each is answered in the mode that the one before it leaves, or overtaken (6.13)."""
-    _to_mode(peer, mode)
-    commands = [Command(peer.new_id(), CommandCode(each)) for each in (first, second)]
-    _burst(peer, *((each, peer.session) for each in commands))
-    answers = {a.command_id: a.reason for a in peer.answers(f"{first.name} and {second.name} at once")}
-    got = tuple(answers.get(each.command_id) for each in commands)
-    one = ANSWERS[mode, first]
-    allowed = [(one.reason, ANSWERS[one.mode, second].reason)]
-    if second in _STOPS and first not in _STOPS:
-        allowed.append((Reason.OVERTAKEN, ANSWERS[mode, second].reason))
-    names = ", ".join("none" if each is None else each.name for each in got)
-    require(got in allowed, f"{first.name} and {second.name} at once in {mode.name}: {names}")
-
-
-@case(424, "6.13", "of two commands in one burst each is judged, in the mode that the one before it leaves")
-def two_commands(peer: Peer) -> None:
-    disabled(peer)
-    for mode in (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY):
-        for first, second in product((Asked.ENABLE, *_AT_REST), repeat=2):
-            if Mode.STANDBY not in _modes(mode, first, second):  # 426 asks for those that enable
-                _judge_pair(peer, mode, first, second)
-    _to_mode(peer, Mode.DISABLED)
-
-
-@case(
-    426, "6.13", "of two commands in one burst each is judged, ENABLE among them and in STANDBY", motion=True
-)
-def two_commands_in_standby(peer: Peer) -> None:
-    standby(peer)
-    for mode in (Mode.DISABLED, Mode.STANDBY, Mode.ERROR_HELD):
-        for first, second in product((Asked.ENABLE, *_AT_REST), repeat=2):
-            if mode is Mode.STANDBY or Mode.STANDBY in _modes(mode, first, second):
-                _judge_pair(peer, mode, first, second)
-    _to_mode(peer, Mode.DISABLED)
-
-
-@case(425, "6.13", "of a reference and STOP in one scan nothing moves; ENABLE behind them is judged",
-      motion=True)  # fmt: skip
-def reference_and_stop(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    parted = 0
-    for _ in range(BURSTS):
-        good = ReferencePose(peer.new_id(), moved(here, dz=STEP_M), 5.0)
-        stop = Command(peer.new_id(), CommandCode.STOP)
-        enable = Command(peer.new_id(), CommandCode.ENABLE)
-        _burst(peer, *((each, peer.session) for each in (good, stop, enable)))
-        answers = {a.command_id: a.reason for a in peer.answers("a reference and STOP at once")}
-        require(len(answers) == 3, f"{len(answers)} answers to a reference, STOP and ENABLE")
-        require(answers[stop.command_id] is not Reason.OVERTAKEN, "STOP was overtaken")
-        if answers[good.command_id] is Reason.OVERTAKEN:
-            require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
-            enabled = answers[enable.command_id]
-            require(enabled is Reason.ALREADY_DONE, f"ENABLE behind STOP in STANDBY: {enabled.name}")
-            continue
-        parted += 1
-        peer.collect(500)
-    require(parted <= BURSTS // 2, f"the reference was judged before its STOP in {parted} of {BURSTS} bursts")
 
 
 @case(417, "6.14", f"behind {FLOOD} requests the newest is answered within {WAITING} scans and 200 ms")

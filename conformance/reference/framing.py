@@ -6,18 +6,16 @@ from collections.abc import Callable, Iterable, Iterator
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
-from conformance.wire import Failed, require, with_bit_flipped
+from conformance.wire import require, with_bit_flipped
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import (
-    Acknowledgement,
     Bye,
     Command,
     Hello,
     Message,
     ReferencePath,
-    ReferencePose,
     Welcome,
 )
 
@@ -58,7 +56,6 @@ def in_a_session(message: Callable[[Peer], Message]) -> Callable[[Peer], bytes]:
 
 
 a_stop = in_a_session(stop)
-a_pose = in_a_session(lambda peer: ReferencePose(peer.new_id(), IDENTITY, 0.0))
 a_path = in_a_session(lambda peer: ReferencePath(peer.new_id(), (IDENTITY,) * 3, 0.0, 0.0))
 
 
@@ -121,12 +118,6 @@ def flipped_command(peer: Peer) -> None:
     refused(peer, [with_bit_flipped(data, bit) for bit in range(8 * len(data))], "a flipped bit")
 
 
-@case(110, "3.2", "REFERENCE_POSE with any single bit flipped is dropped")
-def flipped_pose(peer: Peer) -> None:
-    data = a_pose(peer)
-    refused(peer, [with_bit_flipped(data, bit) for bit in range(0, 8 * len(data), 3)], "a flipped bit")
-
-
 @case(111, "3.2", "a CRC over the field itself, of zero, or of another polynomial is refused")
 def other_crc(peer: Peer) -> None:
     data = a_stop(peer)
@@ -146,27 +137,11 @@ def major(peer: Peer) -> None:
         peer.expect_bye(Reason.INCOMPATIBLE_VERSION, f"HELLO of major version {version}")
 
 
-@case(113, "3.5", "a request of another major version in a session is not used")
-def major_in_session(peer: Peer) -> None:
-    data = a_stop(peer)
-    refused(
-        peer,
-        [peer.with_number(data, MAJOR, "B", version) for version in (0, 2, 255)],
-        "another major version",
-    )
-
-
 @case(114, "4.2", "a newer minor version is met with the controller's own")
 def newer_minor(peer: Peer) -> None:
     peer.open(minor=200)
     require(peer.minor < 200, f"WELCOME has minor {peer.minor}: higher than any published version")
     peer.alive("the negotiated minor version")
-
-
-@case(115, "3.5", "a minor version that was not negotiated is dropped")
-def wrong_minor(peer: Peer) -> None:
-    peer.open()
-    refused(peer, [peer.encoded(stop(peer), minor=peer.minor + n) for n in (1, 7)], "another minor version")
 
 
 @case(116, "3.4", "each unknown critical flag is refused")
@@ -200,15 +175,6 @@ def other_length(peer: Peer) -> None:
     )
 
 
-@case(120, "1.8", "spare and padding bytes that are not zero are ignored")
-def padding(peer: Peer) -> None:
-    peer.open()
-    for offset in (SPARE, HEADER_BYTES + 12, HEADER_BYTES + 15):
-        request = stop(peer)
-        data = peer.with_number(peer.encoded(request), offset, "B", 0xA5)
-        used(peer, data, request.command_id, f"byte {offset} not zero")
-
-
 @case(121, "3.5", "a command id of 0 is dropped")
 def id_zero(peer: Peer) -> None:
     refused(peer, [peer.with_number(a_stop(peer), HEADER_BYTES, "Q", 0)], "command id 0")
@@ -221,35 +187,6 @@ def bad_hello(peer: Peer) -> None:
     peer.send_raw(peer.with_number(hello, HEADER_BYTES + 24, "I", 60_001))
     got = [d.message for d in peer.collect(100) if isinstance(d.message, Welcome | Bye)]
     require(not got, f"a HELLO out of range was answered with {got}")
-
-
-@case(123, "3.6", "an unknown command is acknowledged with UNKNOWN_COMMAND and its code")
-def unknown_command(peer: Peer) -> None:
-    peer.open()
-    for code in (0, 100, 1000, 2**32 - 1):
-        request = stop(peer)
-        peer.send_raw(peer.with_number(peer.encoded(request), HEADER_BYTES + 8, "I", code))
-        answer = peer.answer_to(request.command_id, f"command code {code}")
-        _reason(answer, Reason.UNKNOWN_COMMAND, f"command code {code}")
-        require(answer.value == code, f"command code {code}: value {answer.value:g}, wanted the code")
-
-
-@case(124, "3.6", "a path of no waypoint is acknowledged with EMPTY_PATH", needs=PATHS)
-def empty_path(peer: Peer) -> None:
-    path_of(peer, 0, Reason.EMPTY_PATH)
-
-
-@case(125, "3.6", "a path of 25 waypoints and more is acknowledged with TOO_MANY_WAYPOINTS", needs=PATHS)
-def long_path(peer: Peer) -> None:
-    path_of(peer, 25, Reason.TOO_MANY_WAYPOINTS)
-    path_of(peer, 2**32 - 1, Reason.TOO_MANY_WAYPOINTS)
-
-
-@case(126, "3.5", "a burst of noise is survived")
-def noise(peer: Peer) -> None:
-    peer.open()
-    generator = _noise(peer.session & 0xFFFFFFFF or 1)
-    refused(peer, [bytes(next(generator) & 0xFF for _ in range(n)) for n in range(1, 1500, 11)], "noise")
 
 
 @case(127, "3.5", "noise behind a good header and CRC is survived")
@@ -266,20 +203,6 @@ def sealed_noise(peer: Peer) -> None:
             peer.send_raw(peer.resealed(bytes(bent)))
     peer.collect(RATION_MS)
     peer.alive("after noise behind good headers")
-
-
-def path_of(peer: Peer, count: int, reason: Reason) -> None:
-    """A path whose count of waypoints says ``count`` is acknowledged with ``reason``."""
-    if not peer.session:
-        peer.open()
-    path = ReferencePath(peer.new_id(), (IDENTITY,), 0.0, 0.0)
-    peer.send_raw(peer.with_number(peer.encoded(path), HEADER_BYTES + 8, "I", count))
-    _reason(peer.answer_to(path.command_id, f"{count} waypoints"), reason, f"{count} waypoints")
-
-
-def _reason(answer: Acknowledgement, reason: Reason, what: str) -> None:
-    if answer.reason is not reason:
-        raise Failed(f"{what}: answered {answer.reason.name}, wanted {reason.name}")
 
 
 def _crc(data: bytes, polynomial: int) -> int:

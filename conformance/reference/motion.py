@@ -67,13 +67,6 @@ def expect_reason(got: Acknowledgement, reason: Reason, what: str) -> None:
     require(got.reason is reason, f"{what}: {got.reason.name}, wanted {reason.name}")
 
 
-@case(506, "6.10", "the group's state is judged before the content")
-def state_first(peer: Peer) -> None:
-    disabled(peer)
-    nan = Pose((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    expect_reason(reference_reason(peer, nan), Reason.DISABLED, "NaN in DISABLED")
-
-
 @case(507, "7.4", "the emergency stop latches, with its flag and its fault")
 def emergency(peer: Peer) -> None:
     disabled(peer)
@@ -179,47 +172,6 @@ def scaled(pose: Pose, scale: float) -> Pose:
     return pose._replace(q_wxyz=(scale * w, scale * x, scale * y, scale * z))
 
 
-@case(521, "3.7", "NaN and infinity in a reference: NOT_FINITE", motion=True)
-def not_finite(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    for odd in (math.nan, math.inf, -math.inf):
-        for place in range(8):
-            numbers = [*here.p_m, *here.q_wxyz, 0.0]
-            numbers[place] = odd
-            x, y, z, qw, qx, qy, qz, duration = numbers
-            got = reference_reason(peer, Pose((x, y, z), (qw, qx, qy, qz)), duration)
-            expect_reason(got, Reason.NOT_FINITE, f"{odd} at place {place}")
-    require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
-
-
-@case(522, "1.5", "a quaternion whose norm is off by more than 1e-3: NOT_UNIT_QUATERNION", motion=True)
-def not_unit(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    for scale in (0.0, 0.5, 1.0 - 2e-3, 1.0 + 2e-3, 2.0):
-        got = reference_reason(peer, scaled(here, scale))
-        expect_reason(got, Reason.NOT_UNIT_QUATERNION, f"a norm of {scale:g}")
-        require(abs(got.value - scale * here.quaternion_norm()) < 1e-9, f"value {got.value:g}")
-
-
-@case(523, "1.5", "a norm off by less, and the negative of a quaternion, are accepted", motion=True)
-def nearly_unit(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    for scale in (1.0 - 5e-4, 1.0 + 5e-4, -1.0):
-        expect_reason(
-            reference_reason(peer, scaled(here, scale)), Reason.ACCEPTED, f"a quaternion times {scale:g}"
-        )
-    state = reach(peer, GroupState.STANDBY, "a motion to where it is", 20_000)
-    turned = abs(sum(a * b for a, b in zip(state.X_BT_cmd.q_wxyz, here.q_wxyz, strict=True)))
-    require(turned > 1.0 - 1e-6, "the tool turned although the orientation is the same")
-
-
-@case(524, "6.7", "a negative, a too short and a too long time: BAD_DURATION", motion=True)
-def bad_duration(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    for duration in (-1.0, 1e-6, 1e9):
-        expect_reason(reference_reason(peer, here, duration), Reason.BAD_DURATION, f"{duration:g} s")
-
-
 @case(525, "6.9", "a pose far out of reach is refused with value and limit", motion=True)
 def out_of_reach(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
@@ -261,19 +213,6 @@ def small_motion(peer: Peer) -> None:
     peer.collect(2500)
 
 
-@case(528, "7.3", "STOP in motion ramps down to STANDBY", motion=True)
-def stopped(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
-    reach(peer, GroupState.MOVING, "after a reference")
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
-    reach(peer, GroupState.STANDBY, "after STOP")
-    a = peer.state()
-    peer.collect(300)
-    b = peer.state()
-    require(math.dist(a.X_BT_cmd.p_m, b.X_BT_cmd.p_m) < 1e-9, "the commanded pose still moves")
-
-
 @case(529, "7.5", "a lost link in motion stops the arm; nothing resumes by itself", motion=True)
 def lost_in_motion(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
@@ -293,33 +232,6 @@ def lost_in_motion(peer: Peer) -> None:
     require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
     require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     reach(peer, GroupState.DISABLED, "after RESET")
-
-
-@case(530, "7.4", "EMERGENCY_STOP in motion centres the valves in the next scans", motion=True)
-def emergency_in_motion(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
-    reach(peer, GroupState.MOVING, "after a reference")
-    require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
-    state = peer.state()
-    require(state.valves == (0.0,) * 6, f"valves {state.valves}")
-    require(state.group_state is GroupState.ERROR_STOP, state.group_state.name)
-
-
-@case(531, "6.6", "of references that wait at once only the newest is executed", motion=True)
-def newest_of_a_backlog(peer: Peer) -> None:
-    here = standby(peer).X_BT_cmd
-    ids = [peer.new_id() for _ in range(6)]
-    encoded = [peer.encoded(ReferencePose(i, moved(here, dz=STEP_M), 3.0)) for i in ids]
-    for data in encoded:
-        peer.send_raw(data)
-    answers = {a.command_id: a.reason for a in peer.answers("six references at once")}
-    require(sorted(answers) == ids, f"{len(answers)} answers to six references")
-    require(answers[ids[-1]] is Reason.ACCEPTED, f"the newest: {answers[ids[-1]].name}")
-    others = {answers[i] for i in ids[:-1]}
-    require(others <= {Reason.OVERTAKEN, Reason.ACCEPTED}, f"the others: {others}")
-    require(peer.state().motion_id == ids[-1], "the motion is not the newest one")
-    peer.command(CommandCode.STOP)
 
 
 @case(532, "6.8", "a path is driven through its waypoints in order", motion=True, needs=PATHS)

@@ -5,7 +5,6 @@ from conformance.peer import RATION_MS, SESSION_MS, Peer
 from conformance.reference.framing import stop
 from conformance.wire import ANSWER_MS, MS, Failed, require
 from protocol.faults import Reason
-from protocol.pose import IDENTITY
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
@@ -15,7 +14,6 @@ from protocol.reference_messages import (
     HeartbeatReply,
     Hello,
     Message,
-    ReferencePath,
     State,
     Welcome,
 )
@@ -63,81 +61,11 @@ def handshake(peer: Peer) -> None:
     require(welcome.cycle_ns <= 100 * MS, f"cycle of {welcome.cycle_ns / MS:g} ms")
 
 
-@case(202, "4.2", "sessions have different numbers, the controller keeps its boot_id")
-def numbers_differ(peer: Peer) -> None:
-    seen = []
-    for _ in range(3):
-        welcome = peer.open()
-        seen.append((peer.session, welcome.boot_id))
-        peer.leave()
-    require(len({session for session, _ in seen}) == 3, "a session's number was used twice")
-    require(len({boot_id for _, boot_id in seen}) == 1, "boot_id changed without a restart")
-
-
-@case(203, "4.2", "no capability is granted that was not offered")
-def none_offered(peer: Peer) -> None:
-    granted = peer.open(capabilities=0).capabilities
-    require(granted & ~peer.required == 0, f"granted {granted:#x} of nothing")
-
-
-@case(204, "4.3", "reserved capability bits are not granted")
-def reserved_offered(peer: Peer) -> None:
-    granted = peer.open(capabilities=2**64 - 1).capabilities
-    require(granted & ~(TABLED | peer.required) == 0, f"granted {granted:#x}: bits that are not in the table")
-
-
-@case(205, "6.8", "a path without the capability is acknowledged with NOT_NEGOTIATED")
-def path_not_negotiated(peer: Peer) -> None:
-    peer.open(capabilities=0)
-    answer = peer.ask(ReferencePath(peer.new_id(), (IDENTITY,), 0.0, 0.0), "a path that was not negotiated")
-    require(answer.reason is Reason.NOT_NEGOTIATED, f"answered {answer.reason.name}")
-
-
-@case(206, "4.1", "the hash of another arm is refused with WRONG_ARM")
-def wrong_arm(peer: Peer) -> None:
-    right = peer.open().arm_hash
-    peer.leave()
-    peer.collect(RATION_MS, beating=False)
-    peer.send(Hello(peer.nonce(), 1, right ^ 1 or 2, 50), session=0)
-    peer.expect_bye(Reason.WRONG_ARM, "HELLO for another arm")
-
-
 @case(207, "4.1", "the hash of this arm is welcome")
 def right_arm(peer: Peer) -> None:
     right = peer.open().arm_hash
     peer.leave()
     require(peer.open(arm_hash=right).arm_hash == right, "the hash changed")
-
-
-@case(208, "4.6", "a repeated HELLO is answered with the same session")
-def repeated_hello(peer: Peer) -> None:
-    nonce = peer.nonce()
-    first = peer.open(nonce=nonce)
-    session = peer.session
-    for _ in range(3):
-        hello(peer, nonce)
-    again = [d for d in peer.collect(100) if isinstance(d.message, Welcome)]
-    require(len(again) == 3, f"{len(again)} WELCOMEs for 3 repeated HELLOs")
-    require(all(d.header.session == session and d.message == first for d in again), "another WELCOME")
-    peer.alive("after repeated HELLOs")
-
-
-@case(209, "5.2", "the very same HELLO datagram twice is answered once")
-def duplicated_hello(peer: Peer) -> None:
-    nonce = peer.nonce()
-    peer.open(nonce=nonce)
-    data = hello(peer, nonce)
-    peer.send_raw(data)
-    require(len(welcomes(peer)) == 1, "a duplicated datagram was answered twice")
-
-
-@case(210, "4.6", "the nonce of a session that has ended opens nothing")
-def replayed_hello(peer: Peer) -> None:
-    nonce = peer.nonce()
-    peer.open(nonce=nonce)
-    peer.leave()
-    hello(peer, nonce)
-    require(not welcomes(peer), "a recorded HELLO opened a session")
 
 
 @case(211, "4.5", "a second client is refused with SESSION_OCCUPIED and the first does not notice")
@@ -206,14 +134,6 @@ def unknown_session(peer: Peer) -> None:
     require(datagram.header.session == 0x1234, "BYE does not name the session that was asked for")
 
 
-@case(217, "3.5", "requests of another session, and of session 0, are not used")
-def wrong_session(peer: Peer) -> None:
-    peer.open()
-    for session in (0, 1, peer.session ^ 1, peer.session ^ 1 << 63):
-        peer.send(stop(peer), session=session)
-    require(not peer.answers("requests of other sessions"), "a request of another session was answered")
-
-
 @case(218, "3.5", "a request of this session from another port is not used")
 def wrong_source(peer: Peer) -> None:
     peer.open()
@@ -222,14 +142,6 @@ def wrong_source(peer: Peer) -> None:
     answered = [d for d in other.collect(60, beating=False) if not isinstance(d.message, Bye)]
     require(not answered, "another source was answered")
     require(not peer.answers("a request from another port"), "another source's request was executed")
-
-
-@case(219, "3.5", "HELLO inside a session is dropped")
-def hello_in_session(peer: Peer) -> None:
-    peer.open()
-    peer.send(Hello(peer.nonce(), 1, 0, 50))
-    require(not welcomes(peer, 60), "a HELLO with a session was answered")
-    peer.alive("after a HELLO with a session")
 
 
 @case(220, "3.5", "messages that only a controller sends are dropped")

@@ -17,7 +17,6 @@ from conformance.reference.motion import (
     moved,
     reach,
     require_reason,
-    scaled,
 )
 from conformance.wire import ANSWER_MS, MS, Unsupported, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -125,65 +124,6 @@ def starts(peer: Peer) -> None:
     peer.collect(200)
     later = peer.state()
     require(later.X_BT_cmd == state.X_BT_cmd, "the commanded pose moves without a reference")
-    peer.command(CommandCode.STOP)
-
-
-@case(546, "12.4", "NaN, infinity and a norm off 1 are refused in a streamed reference", motion=True)
-def form(peer: Peer) -> None:
-    stream, state = opened(peer)
-    here = state.X_BT_cmd
-    for odd in (math.nan, math.inf, -math.inf):
-        for place in range(7):
-            numbers = [*here.p_m, *here.q_wxyz]
-            numbers[place] = odd
-            x, y, z, qw, qx, qy, qz = numbers
-            bad = Pose((x, y, z), (qw, qx, qy, qz))
-            stream.refused(bad, Reason.NOT_FINITE, f"{odd} at place {place}")
-        twist = (0.0, 0.0, odd, 0.0, 0.0, 0.0)
-        stream.refused(here, Reason.NOT_FINITE, f"{odd} in the twist", twist_ref=twist)
-    for scale in (0.0, 1.0 - 2e-3, 1.0 + 2e-3):
-        stream.refused(scaled(here, scale), Reason.NOT_UNIT_QUATERNION, f"a norm of {scale:g}")
-    require(peer.state().X_BT_cmd == here, "the commanded pose moved")
-    peer.command(CommandCode.STOP)
-
-
-@case(
-    547, "12.4", "a jump, and a reference that runs away: TOO_FAR and TOO_FAST with the values", motion=True
-)
-def jump(peer: Peer) -> None:
-    stream, state = opened(peer)
-    here = state.X_BT_cmd
-    got = stream.refused(moved(here, dz=100.0), Reason.TOO_FAR, "100 m away")
-    require(abs(got.value - 100.0) < 1e-3, f"value {got.value:g}, wanted the measured jump of 100 m")
-    require(0.0 < got.limit < 100.0, f"limit {got.limit:g}")
-    got = stream.refused(here, Reason.TOO_FAST, "50 m/s", twist_ref=(0.0, 50.0, 0.0, 0.0, 0.0, 0.0))
-    require(abs(got.value - 50.0) < 1e-9, f"value {got.value:g}, wanted 50 m/s")
-    require(peer.state().X_BT_cmd == here, "the commanded pose moved")
-    peer.command(CommandCode.STOP)
-
-
-@case(548, "12.5", "numbers that are not newer are refused, and the wrap is not noticed", motion=True)
-def numbers(peer: Peer) -> None:
-    stream, state = opened(peer)
-    here = state.X_BT_cmd
-    stream.number = NUMBERS - 4
-    stream.feed(here, 10 * FEED_MS)
-    newest = (stream.number - 1) % NUMBERS
-    require(newest < NUMBERS // 2, "the tester did not wrap")
-    for number in (newest, newest - 1, NUMBERS - 2):
-        got = stream.refused(here, Reason.OVERTAKEN, f"number {number % NUMBERS}", number=number % NUMBERS)
-        require(got.limit == newest, f"the newest is said to be {got.limit:g}, it is {newest}")
-    peer.command(CommandCode.STOP)
-
-
-@case(549, "12.6", "a reference that rests on an old measurement: STALE", motion=True)
-def old_measurement(peer: Peer) -> None:
-    stream, state = opened(peer)
-    long_ago = peer.now_ns - 10_000 * MS
-    got = stream.refused(state.X_BT_cmd, Reason.STALE, "10 s old", time_ns=long_ago)
-    require(9.0 < got.value < 12.0, f"its age is said to be {got.value:g} s")
-    require(0.0 < got.limit < 9.0, f"limit {got.limit:g} s")
-    stream.feed(state.X_BT_cmd, 5 * FEED_MS)
     peer.command(CommandCode.STOP)
 
 

@@ -234,6 +234,15 @@ static void enqueue(int kind, uint64_t id, const Byte *payload) {
   memcpy(queue[queued++].payload, payload, (size_t)PAYLOAD[kind]);
 }
 
+static Decision impossible(int kind, const Byte *p) { /* 3.6, then the capability (6.10) */
+  uint32_t code = kind == COMMAND ? GET(uint32_t, p, 8) : REFERENCE, count = kind == REFERENCE_PATH ? GET(uint32_t, p, 8) : 1;
+  if (kind == COMMAND && (code < ENABLE || code > END_STREAM)) return (Decision){UNKNOWN_COMMAND, code, 0};
+  if (count == 0) return (Decision){EMPTY_PATH, 0, 1};
+  if (count > WAYPOINTS) return (Decision){TOO_MANY_WAYPOINTS, count, WAYPOINTS};
+  uint64_t needs = kind == REFERENCE_PATH ? PATHS : code == START_STREAM || code == END_STREAM ? STREAMING_CAPABILITY : 0;
+  return (Decision){(open_session.capabilities & needs) == needs ? ACCEPTED : NOT_NEGOTIATED, 0, 0};
+}
+
 static void admit(int kind, const Byte *payload) { /* 6.2 to 6.5 */
   Session *s = &open_session;
   Byte without_padding[1376];
@@ -252,7 +261,9 @@ static void admit(int kind, const Byte *payload) { /* 6.2 to 6.5 */
   if (id < s->newest_id) { acknowledge(id, overtaken(id, s->newest_id)); return; }
   s->newest_id = id;
   s->answers[s->answered++ % ANSWERS] = (Entry){id, content, false, {0, 0, 0}};
-  enqueue(kind, id, payload);
+  Decision d = impossible(kind, payload);
+  if (d.reason) decide(id, d); /* before it waits: it overtakes nothing (6.6) */
+  else enqueue(kind, id, payload);
 }
 
 /* ---- datagrams: checked in the order of 3.5, dropped at the first check that fails ---- */
@@ -317,18 +328,18 @@ static bool hello(const Byte *d, const struct sockaddr_in *from, uint64_t now) {
   const Byte *p = d + HEADER;
   uint64_t nonce = GET(uint64_t, p, 0), sent = GET(uint64_t, d, 32), arm = GET(uint64_t, p, 16);
   if (GET(uint64_t, d, 16)) return false;
-  for (int k = 0; k < NONCES; k++) if (ended_nonces[k] == nonce) return false;
   bool connected = open_session.number && same(from, &open_session.source);
-  if (connected && nonce != open_session.nonce && sent < open_session.hello_sent_ns) return false;
-  if (arm && arm != 0x4C4F4E4752454143ull) return refuse(from, 0, WRONG_ARM, now);
-  if (open_session.number && !connected) return refuse(from, 0, SESSION_OCCUPIED, now);
   Session *again = connected && nonce == open_session.nonce ? &open_session
                    : grant.number && same(from, &grant.source) && nonce == grant.nonce ? &grant : NULL;
-  if (again) {
-    if (!in_order(again, GET(uint32_t, d, 24))) return false;
+  if (again) { /* judged by its number and age alone (3.5) */
+    if (!in_order(again, GET(uint32_t, d, 24)) || age_ns(again, sent, now) > LINK_TIMEOUT_MS * 1000000ull) return false;
     welcome(again);
     return true;
   }
+  for (int k = 0; k < NONCES; k++) if (ended_nonces[k] == nonce) return false;
+  if (connected && nonce != open_session.nonce && sent < open_session.hello_sent_ns) return false;
+  if (arm && arm != 0x4C4F4E4752454143ull) return refuse(from, 0, WRONG_ARM, now);
+  if (open_session.number && !connected) return refuse(from, 0, SESSION_OCCUPIED, now);
   if (grant.number && same(from, &grant.source) && sent < grant.hello_sent_ns) return false;
   forget(&grant);
   grant.number = drawn(), grant.nonce = nonce, grant.hello_sent_ns = sent, grant.granted_ns = now;
@@ -600,11 +611,6 @@ static Decision judge(const Request *r) { /* in the order of 6.10 */
   const Byte *p = r->payload;
   uint32_t code = r->kind == COMMAND ? GET(uint32_t, p, 8) : REFERENCE;
   uint32_t count = r->kind == REFERENCE_PATH ? GET(uint32_t, p, 8) : 1;
-  if (r->kind == COMMAND && (code < ENABLE || code > END_STREAM)) return (Decision){UNKNOWN_COMMAND, code, 0};
-  if (count == 0) return (Decision){EMPTY_PATH, 0, 1};
-  if (count > WAYPOINTS) return (Decision){TOO_MANY_WAYPOINTS, count, WAYPOINTS};
-  uint64_t needs = r->kind == REFERENCE_PATH ? PATHS : code == START_STREAM || code == END_STREAM ? STREAMING_CAPABILITY : 0;
-  if ((open_session.capabilities & needs) != needs) return (Decision){NOT_NEGOTIATED, 0, 0};
   Row row = TABLE[mode][code];
   if (code != REFERENCE) return enter((int)code, row, r->id);
   if (row.reason) return (Decision){row.reason, 0, 0};

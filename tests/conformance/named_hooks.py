@@ -146,7 +146,7 @@ MUTANTS = tuple(
         ("takes NaN for the last reference", (546, 553), hooked(good=None, judge_streamed=_last_finite)),
         ("follows any stream", (554,),
          hooked(judge_streamed=_of_message(stream_id=lambda _, s: s.stream_id))),
-        ("takes older numbers", (548,),
+        ("takes older numbers", (585,),
          hooked(judge_streamed=_of_message(number=lambda _, s: (s.number + 1) % 2**32))),
         ("shows another number", (550,), hooked(shown=lambda _, state: state._replace(stream_number=0))),
         ("latches for who leaves in STANDBY", (537, 538), hooked(_scan=_latches_in(Mode.STANDBY))),

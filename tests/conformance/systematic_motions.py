@@ -106,16 +106,22 @@ def _configured(configured: Callable[[], ScanSettings], named: dict[Reason, Name
     )
 
 
-def _other(override: str, **named: Named) -> Make:
-    names = {Reason[reason]: limit for reason, limit in named.items()}
-    return _configured(partial(settings, f"controller.{override}"), names)
+def reconfigured(configured: Callable[[], ScanSettings], **named: Named) -> Make:
+    """Runs with other settings; refusals for a reason name another limit than the one in use."""
+    return _configured(configured, {Reason[reason]: limit for reason, limit in named.items()})
 
 
-def _always(limit: float) -> Named:
+def other_settings(override: str, **named: Named) -> Make:
+    """The same, of one override of the controller's."""
+    return reconfigured(partial(settings, f"controller.{override}"), **named)
+
+
+def named_always(limit: float) -> Named:
+    """Names one limit, whatever it is."""
     return lambda _: limit
 
 
-def _one_of(*pairs: tuple[float, float]) -> Named:
+def named_one_of(*pairs: tuple[float, float]) -> Named:
     """Names the second of a pair for the first, and others as they are."""
     return lambda limit: next((said for used, said in pairs if math.isclose(used, limit)), limit)
 
@@ -149,30 +155,35 @@ def _times() -> Iterator[tuple[str, str, int, Make]]:
         ("recovery_ms", ((200, 575), (1000, 575))),
     ):
         for value, case in values:
-            yield f"{key} of {value}", "12.8", case, _other(f"streaming.{key}={value}")
+            yield f"{key} of {value}", "12.8", case, other_settings(f"streaming.{key}={value}")
 
 
 def _stream_limits() -> Iterator[tuple[str, str, int, Make]]:
     degree = math.pi / 180.0
     for factor in (0.5, 0.9, 1.1, 2.0):
-        far, turn = _one_of((0.5 * factor, 0.5)), _one_of((30.0 * factor * degree, 30.0 * degree))
+        far, turn = named_one_of((0.5 * factor, 0.5)), named_one_of((30.0 * factor * degree, 30.0 * degree))
         for what, clause, case, make in (
-            ("distance", "12.4", 581, _other(f"streaming.distance_m={0.5 * factor}", TOO_FAR=far)),
-            ("angle", "12.4", 582, _other(f"streaming.turn_deg={30.0 * factor}", TOO_FAR=turn)),
-            ("age", "12.6", 584, _other(f"streaming.max_age_ms={250.0 * factor}", STALE=_always(0.25))),
+            ("distance", "12.4", 581, other_settings(f"streaming.distance_m={0.5 * factor}", TOO_FAR=far)),
+            ("angle", "12.4", 582, other_settings(f"streaming.turn_deg={30.0 * factor}", TOO_FAR=turn)),
+            (
+                "age",
+                "12.6",
+                584,
+                other_settings(f"streaming.max_age_ms={250.0 * factor}", STALE=named_always(0.25)),
+            ),
         ):
             yield f"{what} of {factor:g} of its limit", clause, case, make
         for name, value in (("speed_m_s", 0.25), ("turn_speed_deg_s", 12.0)):
-            make = _other(f"streaming.{name}={value * factor}", TOO_FAST=lambda x, f=factor: x / f)
+            make = other_settings(f"streaming.{name}={value * factor}", TOO_FAST=lambda x, f=factor: x / f)
             yield f"stream {name} of {factor:g} of its limit", "12.4", 583, make
     cases = {"distance_m=5.0": 581, "turn_deg=90.0": 582, "max_age_ms=4000.0": 584, "speed_m_s=1.0": 583}
     for what, case in cases.items():
-        yield f"streaming {what}, and names it", "12.4", case, _other(f"streaming.{what}")
+        yield f"streaming {what}, and names it", "12.4", case, other_settings(f"streaming.{what}")
     for what in ("acceleration_m_s2=0.7", "acceleration_m_s2=3.0", "jerk_m_s3=6.0", "jerk_m_s3=100.0"):
-        yield f"streaming {what}", "12.7", 579, _other(f"streaming.{what}")
+        yield f"streaming {what}", "12.7", 579, other_settings(f"streaming.{what}")
 
 
-def _lower_floor(metres: float) -> ScanSettings:
+def lower_floor(metres: float) -> ScanSettings:
     sound = settings()
     box = sound.planning.workspace.box.copy()
     box[2, 0] += metres
@@ -192,24 +203,28 @@ def _motion_limits() -> Iterator[tuple[str, str, int, Make]]:
     motion, first = sound.motion, sound.motion.first_point_distance
     for factor in (0.5, 0.9, 1.1, 2.0):
         for key, limit in (("duration_min_s", motion.duration_min), ("duration_max_s", motion.duration_max)):
-            make = _other(f"motion.{key}={limit * factor}", BAD_DURATION=_one_of((limit * factor, limit)))
+            make = other_settings(
+                f"motion.{key}={limit * factor}", BAD_DURATION=named_one_of((limit * factor, limit))
+            )
             yield f"{key} of {factor:g} of its limit", "6.7", 561, make
             yield f"{key} of {factor:g} of its limit, paths", "6.8", 562, make
-        make = _other(f"motion.first_point_distance_m={first * factor}", TOO_FAR=_always(first))
+        make = other_settings(f"motion.first_point_distance_m={first * factor}", TOO_FAR=named_always(first))
         yield f"first pose of {factor:g} of its limit", "6.9", 564, make
         for key, case in (("acceleration_m_s2", 563),):
-            make = _other(f"motion.{key}={0.25 * factor}", TOO_FAST=_one_of((0.25 * factor, 0.25)))
+            make = other_settings(
+                f"motion.{key}={0.25 * factor}", TOO_FAST=named_one_of((0.25 * factor, 0.25))
+            )
             yield f"{key} of {factor:g} of its limit", "6.9", case, make
     for factor in (0.5, 2.0):
-        make = _other(f"motion.singular_value_min={0.05 * factor}", SINGULAR=_always(0.05))
+        make = other_settings(f"motion.singular_value_min={0.05 * factor}", SINGULAR=named_always(0.05))
         yield f"singular value of {factor:g} of its limit", "6.9", 567, make
     for metres in (-0.3, -0.05, 0.05, 0.3):
-        floor = _always(float(sound.planning.workspace.box[2, 0]))
-        make = _configured(partial(_lower_floor, metres), {Reason.OUTSIDE_WORKSPACE: floor})
+        floor = named_always(float(sound.planning.workspace.box[2, 0]))
+        make = _configured(partial(lower_floor, metres), {Reason.OUTSIDE_WORKSPACE: floor})
         yield f"workspace off by {metres:g} m", "6.9", 565, make
     for radians in (-0.2, -0.03, 0.03, 0.2):
         low, high = map(float, sound.planning.planned_range[:, 5])
-        named = _one_of((low - radians, low), (high + radians, high))
+        named = named_one_of((low - radians, low), (high + radians, high))
         make = _configured(partial(_wider_joint, radians), {Reason.JOINT_LIMIT: named})
         yield f"joint range off by {radians:g} rad", "6.9", 566, make
 

@@ -82,8 +82,8 @@ STALE: dict[str, Row] = {
     "stream_number": ("12.3", 586),
 }
 FROZEN: dict[str, Row] = {
-    "time_ns": ("7.7", 413),
-    "cycle": ("7.7", 413),
+    "time_ns": ("7.7", 895),
+    "cycle": ("7.7", 895),
     "group_state": ("7.2", 810),
     "fault": ("7.6", 514),
     "severity": ("7.6", 514),
@@ -101,7 +101,7 @@ FROZEN: dict[str, Row] = {
     "stream_number": ("12.3", 550),
 }
 SWAPPED: dict[tuple[str, str], Row] = {
-    ("time_ns", "cycle"): ("7.7", 413),
+    ("time_ns", "cycle"): ("7.7", 895),
     ("fault", "severity"): ("7.6", 514),
     ("q_meas", "q_cmd"): ("7.7", 518),
     ("q_cmd", "valves"): ("7.7", 513),

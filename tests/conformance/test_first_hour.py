@@ -78,7 +78,7 @@ def test_a_sound_coupler_passes_every_step_in_its_order() -> None:
     [
         ((), 200),
         ((Kind.WELCOME,), 317),
-        ((Kind.WELCOME, Kind.HEARTBEAT_REPLY), 413),
+        ((Kind.WELCOME, Kind.HEARTBEAT_REPLY), 590),
         ((Kind.WELCOME, Kind.HEARTBEAT_REPLY, Kind.STATE), 101),
         ((Kind.WELCOME, Kind.HEARTBEAT_REPLY, Kind.STATE, Kind.ACKNOWLEDGEMENT), 224),
     ],

@@ -25,7 +25,7 @@ from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.couplers import ThreadedCoupler
 
 simulated = pytest.mark.usefixtures("network")
-CONTROL, COUPLER_CONTROL, STREAM, PATH, KEYLESS, MOVES = 101, 601, 541, 124, 722, 521
+CONTROL, COUPLER_CONTROL, STREAM, PATH, KEYLESS, MOVES = 101, 601, 541, 424, 722, 521
 PASS, FLAKY, FAIL, UNSUPPORTED = CaseOutcome
 
 
@@ -116,7 +116,7 @@ def test_a_controller_that_goes_midway_ends_the_run_and_leaves_what_is_known(tmp
             return data
 
     with GoesAtAPath() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, PATH, 401])
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, PATH, 432])
     assert ended(summary) == "link.unreachable"
     assert outcomes(summary) == {CONTROL: PASS, PATH: FAIL}
     assert f"after case {PATH}" in str(summary.ended)
