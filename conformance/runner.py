@@ -15,7 +15,7 @@ from protocol.errors import LinkLost
 
 # Loading a module enters its cases.
 _MODULES = (
-    "reference.framing", "reference.sessions", "reference.handshake", "reference.order", "reference.requests",
+    "reference.framing", "reference.sessions", "reference.handshake", "reference.order",
     "reference.motion", "reference.endings", "reference.streaming", "reference.authentication",
     "reference.answers", "reference.datagrams_sent", "reference.datagram_refusals",
     "reference.datagram_drops", "reference.arm_transitions",

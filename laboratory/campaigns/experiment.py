@@ -3,12 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from rich.table import Table
+from typer import Option
 
 from foundation.configuration import BASE_FILE
 from laboratory.campaigns.campaign import CampaignRequest, run_campaign
@@ -206,3 +208,30 @@ def _draw(request: CampaignRequest, drawn: "Mapping[str, Figure]") -> None:
 def seeds(request: CampaignRequest) -> range:
     """The seeds of the runs."""
     return range(request.seed, request.seed + request.runs)
+
+
+# Options that several experiments share, worded once.
+Assignments = Annotated[
+    list[str] | None, Option("--set", help="Override one key, such as plant.payload.mass_kg=30; repeatable.")
+]
+Scenario = Annotated[str, Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
+
+
+class EyesKind(StrEnum):
+    """What vision measures with."""
+
+    PIXELS = "pixels"
+    MODEL = "model"
+
+
+ChosenEyes = Annotated[EyesKind, Option(help="Rendered pictures, or the model measured from them.")]
+Adapting = Annotated[
+    bool,
+    Option("--adapting", help="Vision that learns, CONFIG_DIR/vision_adapting.yaml laid over its own."),
+]
+Commissioned = Annotated[
+    bool,
+    Option(
+        "--commissioned", help="The controller has the valves' numbers, drawn around the truth with their σ."
+    ),
+]

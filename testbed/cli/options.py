@@ -7,8 +7,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from foundation.command_options import usual_configs
-from testbed.controllers import ControllerKind
-from testbed.hand_eye.pose_forms import PoseForm
+from testbed.choices import ControllerKind, PoseForm
 from testbed.reporting.console import writable
 from vision_pc.config.choices import PositioningMethod, Setup
 

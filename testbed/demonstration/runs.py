@@ -16,7 +16,7 @@ from plant_emulator.core.camera.wall.bores import hole_places
 from plant_emulator.core.fault_execution import obey
 from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import LongreachError
-from testbed.controllers import ControllerKind
+from testbed.choices import ControllerKind
 from testbed.demonstration.sequence import (
     JSON,
     Recorder,

@@ -12,7 +12,7 @@ import numpy as np
 
 from foundation.foreign_text import comma_separated, read_text
 from protocol.errors import RequestRefused
-from testbed.hand_eye.pose_forms import PoseForm
+from testbed.choices import PoseForm
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array

@@ -32,11 +32,11 @@ from vision_pc.application.ports import CameraStatus, FrameSource, Runtime
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception import intrinsics, markers
 from vision_pc.core.perception.camera_errors import fitted_errors
-from vision_pc.core.perception.frozen_pictures import FrozenPictures
 from vision_pc.core.perception.intrinsics import as_believed, as_found
 from vision_pc.core.perception.look import FrameMarkers, FrameStamp, observation_of, priors_after
 from vision_pc.core.perception.rectification import Rectifier
 from vision_pc.core.perception.watch import Sensor
+from vision_pc.core.pixel_sensor import FrozenPictures
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
     CameraErrors,

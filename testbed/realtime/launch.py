@@ -12,7 +12,7 @@ import psutil
 from foundation.configuration import merged
 from foundation.secret_source import read_secret
 from protocol.errors import ConfigurationError
-from testbed.controllers import ControllerKind
+from testbed.choices import ControllerKind
 from testbed.realtime.child import Service
 from testbed.scenarios.scenario import Overrides, Settings, flattened, load_settings
 

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from types import FrameType
 
-from testbed.controllers import ControllerKind
+from testbed.choices import ControllerKind
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import Bars, out, table

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from plant_emulator.core.faults.schedule import FaultOrder
 from protocol.errors import ConfigurationError, LongreachError
-from testbed.controllers import ControllerKind
+from testbed.choices import ControllerKind
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import run_record as record
 from testbed.reporting.console import kept_on_ctrl_c, out, write_json

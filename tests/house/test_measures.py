@@ -12,7 +12,7 @@ from tests.house import measures
 # lowers it in its own commit. It is raised only in a commit that names what was asked for, and lowers another
 # line by as much.
 BUDGET = {
-    "lines of source": 95_445,
+    "lines of source": 95_265,
     "statements of source": 47_672,
     "statements of ROS 2": 879,
     "statements of conformance": 4_824,
@@ -20,7 +20,7 @@ BUDGET = {
     "statements of structured text": 2_579,
     "statements of the product": 36_532,
     "lines that the three services import": 55_040,
-    "lines of tests": 58_580,
+    "lines of tests": 58_760,
     "statements of tests": 32_331,
     "lines of structured text, JavaScript, CSS and HTML": 8_485,
     "modules": 613,

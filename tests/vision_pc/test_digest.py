@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision_pc.core.digest import digest
+from vision_pc.core.buffers import digest
 from vision_pc.core.types import StereoOffset
 
 OFFSET = StereoOffset(0.25, -0.5, 0.01, 0.02)

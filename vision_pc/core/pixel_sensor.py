@@ -9,7 +9,7 @@ from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.perception.camera_errors import fitted_errors
 from vision_pc.core.perception.intrinsics import as_believed, as_found
 from vision_pc.core.perception.watch import Odometry
-from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample
+from vision_pc.core.types import CameraErrors, FrameObservation, Image, StereoPair, WatchSample
 
 
 class PixelSensor:
@@ -39,3 +39,24 @@ class PixelSensor:
     def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
         """What the samples of a watch say of the camera."""
         return fitted_errors(samples, self.camera, self._config.markers)
+
+
+_STEP = 32  # px: a picture is compared by every such pixel of every such row
+
+
+class FrozenPictures:
+    """Counts how often a picture repeated the one before to the last grey level, which noise forbids in live
+    ones. ``limit``: so many repetitions, and the camera counts as frozen; 0: never.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._fingerprint = b""
+        self._count = 0
+
+    def add(self, image: Image) -> bool:
+        """Take the newest picture. Return True if the camera is frozen."""
+        fingerprint = image[::_STEP, ::_STEP].tobytes()
+        self._count = self._count + 1 if fingerprint == self._fingerprint else 0
+        self._fingerprint = fingerprint
+        return 0 < self._limit <= self._count

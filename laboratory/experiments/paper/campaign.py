@@ -16,8 +16,7 @@ from rich import table as rich
 
 from foundation.configuration import merged, parse_overrides
 from laboratory.campaigns.campaign import CampaignRequest, run_campaign
-from laboratory.campaigns.experiment import Check, Experiment, Finished, seeds
-from laboratory.campaigns.options import Assignments, Scenario
+from laboratory.campaigns.experiment import Assignments, Check, Experiment, Finished, Scenario, seeds
 from laboratory.campaigns.rows import Row
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.paper import comparison, figures

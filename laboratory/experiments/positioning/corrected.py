@@ -11,8 +11,17 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Check, Experiment, Finished, seeds
-from laboratory.campaigns.options import Adapting, Assignments, ChosenEyes, Commissioned, EyesKind
+from laboratory.campaigns.experiment import (
+    Adapting,
+    Assignments,
+    Check,
+    ChosenEyes,
+    Commissioned,
+    Experiment,
+    EyesKind,
+    Finished,
+    seeds,
+)
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning.corrected_run import PositioningRow, one_run
 from laboratory.experiments.positioning.results import (

@@ -12,8 +12,15 @@ from rich.table import Table
 
 from foundation.configuration import merged, parse_overrides
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, seeds
-from laboratory.campaigns.options import Assignments, Scenario
+from laboratory.campaigns.experiment import (
+    Assignments,
+    Check,
+    Experiment,
+    Finished,
+    Scenario,
+    at_least,
+    seeds,
+)
 from laboratory.campaigns.rows import UNKNOWN, XYZ, xyz
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning.corrected import DrawnSettings, positioning_tasks, stops_table

@@ -10,8 +10,17 @@ from rich.table import Table
 from typer import Option
 
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
-from laboratory.campaigns.options import Adapting, Assignments, Commissioned
+from laboratory.campaigns.experiment import (
+    Adapting,
+    Assignments,
+    Check,
+    Commissioned,
+    Experiment,
+    Finished,
+    at_least,
+    at_most,
+    seeds,
+)
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning.corrected_run import operate, settings_of
 from laboratory.experiments.positioning.results import LIMIT_MM, quantile, share

@@ -12,9 +12,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.choices import PoseForm
 from testbed.hand_eye import picture_samples
 from testbed.hand_eye.importer import load
-from testbed.hand_eye.pose_forms import PoseForm
 from testbed.hand_eye.pose_text import read_robot_poses
 from testbed.hand_eye.trajectories import Trajectory, load_tum, pair
 from vision_pc.config.choices import Method

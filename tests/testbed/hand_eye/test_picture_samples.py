@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from protocol.errors import RequestRefused
+from testbed.choices import PoseForm
 from testbed.cli.main import app
 from testbed.hand_eye.importer import load
 from testbed.hand_eye.picture_samples import matched
-from testbed.hand_eye.pose_forms import PoseForm
 from testbed.hand_eye.pose_text import RobotPoses, read_robot_poses
 from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
 from vision_pc.config.choices import Method

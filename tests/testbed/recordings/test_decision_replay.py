@@ -26,7 +26,7 @@ from tests.testbed.recordings.editing import all_of, edited
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.program import Program
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.core.digest import digest
+from vision_pc.core.buffers import digest
 from vision_pc.core.ports import Arm, Eyes
 from vision_pc.core.types import MisplacedMarker
 from vision_pc.shell.recording import read_messages as reads

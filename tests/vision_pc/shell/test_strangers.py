@@ -17,35 +17,6 @@ from vision_pc.shell.rest.operation_routes import MAX_FOLLOWERS
 pytestmark = pytest.mark.realtime
 
 
-def test_a_page_of_another_origin_enables_nothing_by_the_browsers_headers() -> None:
-    with served_bench(enabled=False) as (url, bench):
-        foreign = {
-            "Origin": "http://evil.example:18999",
-            "Referer": "http://evil.example:18999/",
-            "Sec-Fetch-Site": "cross-site",
-            "Sec-Fetch-Mode": "no-cors",
-            "Sec-Fetch-Dest": "empty",
-        }
-        every = (
-            "enable",
-            "emergency-release",
-            "reset",
-            "operations/local-track",
-            "operations/look-then-move",
-        )
-        for path in every:
-            answer = httpx.post(
-                f"{url}/{path}", headers=foreign | {"Content-Type": "text/plain"}, content=b"{}"
-            )
-            assert (answer.status_code, answer.json()["cause"]) == (403, "refused.foreign_origin")
-        for path in ("state", "operations", "camera/latest.png", "openapi.json", "docs"):
-            assert httpx.get(f"{url}/{path}", headers={"Sec-Fetch-Site": "cross-site"}).status_code == 403
-        assert httpx.get(f"{url}/state", headers={"Host": "evil.example"}).status_code == 421
-        assert httpx.get(f"{url}/state").json()["group_state"] == "disabled"
-        assert not bench.operations.list()
-        assert httpx.post(f"{url}/enable").status_code == 200  # curl and our own clients
-
-
 def test_the_interactive_page_loads_nothing_from_elsewhere() -> None:
     with rest_face() as url:
         answer = httpx.get(f"{url}/docs", headers={"Sec-Fetch-Site": "none"})

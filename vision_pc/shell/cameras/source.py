@@ -9,8 +9,8 @@ from typing import Any
 from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.stereo_camera import StereoCalibration
-from vision_pc.core.perception.frozen_pictures import FrozenPictures
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
+from vision_pc.core.pixel_sensor import FrozenPictures
 from vision_pc.core.types import Image, StereoPair
 from vision_pc.shell.camera_eyes import MonotonicClock
 

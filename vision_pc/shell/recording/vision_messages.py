@@ -10,7 +10,7 @@ import numpy as np
 from foundation.recording.messages import MessageField, message_class
 from protocol.pose import Pose
 from protocol.reference_messages import Command, ReferencePath, ReferencePose, Request, StreamedPose
-from vision_pc.core.digest import digest
+from vision_pc.core.buffers import digest
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraErrors, FrameObservation, Look, OdometryPose, StereoPair
 

@@ -29,8 +29,7 @@ from vision_pc.shell.rest.console.routes import Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.metrics import add_metrics
 from vision_pc.shell.rest.operation_routes import add_programs, add_resources, add_unknown
-from vision_pc.shell.rest.operations import Operations
-from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
+from vision_pc.shell.rest.operations import STATUS_OF_CAUSE, Operations
 from vision_pc.shell.rest.state_view import LinkView, link_view, state_json
 from vision_pc.shell.rest.target_routes import add_targets
 

@@ -12,8 +12,10 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from http import HTTPStatus
 from typing import Any
 
+from foundation.rest import problems
 from protocol.errors import LongreachError, RequestRefused
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import RequestBody
@@ -21,7 +23,6 @@ from vision_pc.application.ports import HealthyLog
 from vision_pc.application.program import Program
 from vision_pc.application.results import JSON
 from vision_pc.core.ports import Report
-from vision_pc.shell.rest.problems import problem_of
 
 _REMEMBERED = 200
 _KEYS_REMEMBERED = 10_000
@@ -234,3 +235,23 @@ class Operations:
             self._all.popitem(last=False)
         while len(self._keys) > _KEYS_REMEMBERED:
             self._keys.popitem(last=False)
+
+
+STATUS_OF_CAUSE = {
+    "refused.unknown_operation": HTTPStatus.NOT_FOUND,
+    "refused.unknown_program": HTTPStatus.NOT_FOUND,
+    "refused.too_many_followers": HTTPStatus.SERVICE_UNAVAILABLE,
+    "refused.key_reused": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "refused.key_spent": HTTPStatus.GONE,
+    "request.repeated_header": HTTPStatus.BAD_REQUEST,
+    "request.bad_header": HTTPStatus.BAD_REQUEST,
+    "refused.unknown_target": HTTPStatus.NOT_FOUND,
+    "refused.no_look_yet": HTTPStatus.NOT_FOUND,
+    "refused.bad_target": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "refused.bad_setting": HTTPStatus.UNPROCESSABLE_ENTITY,
+}
+
+
+def problem_of(error: Exception) -> dict[str, Any]:
+    """The problem document of an exception that ended an operation."""
+    return problems.problem_of(error, STATUS_OF_CAUSE)

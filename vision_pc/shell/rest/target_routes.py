@@ -15,8 +15,7 @@ from vision_pc.application.targets.view import ClickBody, candidate_json, hole_j
 from vision_pc.core.se3 import Array, from_pose
 from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.target import TargetRefused
-from vision_pc.shell.rest.operations import Operations
-from vision_pc.shell.rest.problems import problem_of
+from vision_pc.shell.rest.operations import Operations, problem_of
 
 _Diameter = Annotated[
     float | None, Query(gt=5.0, le=500.0, description="of the holes; left out: as configured")
