@@ -5,7 +5,7 @@ import binascii
 import hmac
 import ipaddress
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from http import HTTPStatus
 from types import MappingProxyType
@@ -120,7 +120,6 @@ def _presented_token(authorization: str) -> bytes:
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address
-Refuse = Callable[[GuardedRequest], Refusal | None]
 
 
 class Guard:
@@ -129,17 +128,16 @@ class Guard:
     Loopback and the address that the client reached may always be called by. A request for another name may
     come from a page whose DNS name was turned to us (DNS rebinding). Headers that only browsers send decide
     about the origin; a program that sends none is served, where tokens are wanted with one. What is refused
-    is told to ``refusals``. ``refuse``: what is refused beside that, after all else.
+    is told to ``refusals``.
     """
 
-    def __init__(self, access: Access, refusals: RefusalLog, refuse: Refuse | None = None) -> None:
+    def __init__(self, access: Access, refusals: RefusalLog) -> None:
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
         self._origins = access.allowed_origins
         self._senders = access.senders
         self._tokens = TokenCheck(access.tokens, access.stops, access.public) if access.tokens else None
         self._refusals = refusals
         self._advise = access.advise
-        self._refuse = refuse
 
     def refusal(self, asked: GuardedRequest) -> Refusal | None:
         """Why a request is refused, with what to do about it; None when it may go on."""
@@ -171,8 +169,7 @@ class Guard:
         for site in asked.values(b"sec-fetch-site"):
             if site.lower() not in _OWN_SITE and self._origins.isdisjoint(origins):
                 return _foreign_origin(asked, f"a page of another origin ({site[:20]})")
-        refusal = None if self._tokens is None else self._tokens.refusal(asked)
-        return self._refuse(asked) if refusal is None and self._refuse is not None else refusal
+        return None if self._tokens is None else self._tokens.refusal(asked)
 
     def _is_ours(self, host: str, reached: str) -> bool:
         match = _HOST.fullmatch(host)

@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from foundation.rest.door import Door
-from foundation.rest.guard import Access, Guard, Refuse
+from foundation.rest.guard import Access, Guard
 from foundation.rest.problems import (
     MEDIA_TYPE,
     Advise,
@@ -80,10 +80,10 @@ def service_socket() -> Iterator[tuple[str, socket.socket]]:
 
 @contextlib.asynccontextmanager
 async def door(
-    listener: socket.socket, at: str, access: Access, log: RefusalLines | None, refuse: Refuse | None = None
+    listener: socket.socket, at: str, access: Access, log: RefusalLines | None
 ) -> AsyncIterator[Door]:
     """A door at ``listener`` in this very loop, for as long as the block lasts, to the service at ``at``."""
-    made = Door(at, Guard(access, RefusalLog(log), refuse), access.stops)
+    made = Door(at, Guard(access, RefusalLog(log)), access.stops)
     serving = await made.serve(listener)
     try:
         yield made

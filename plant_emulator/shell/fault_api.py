@@ -17,17 +17,17 @@ from http import HTTPStatus
 from typing import Any, Protocol, cast
 
 import uvloop
-from fastapi import FastAPI, Response
+from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import JSONResponse
+from starlette.middleware.base import RequestResponseEndpoint
 
 from foundation.event_log import EventLog, process_log
 from foundation.periods import Policy, take_policy
 from foundation.rest.files import add_docs
-from foundation.rest.guard import GuardedRequest
-from foundation.rest.problems import Refusal, problem
-from foundation.rest.server import RestServer, door, install_problems, service_socket
+from foundation.rest.problems import problem
+from foundation.rest.server import RestServer, door, install_problems, respond, service_socket
 from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.faults.kinds import FAULTS
@@ -152,6 +152,14 @@ def create_app(plant: FaultedPlant, allowed: bool, origins: Sequence[str] = ()) 
     if origins:
         app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"])
     install_problems(app, _STATUS_OF_CAUSE, _problem_of)
+
+    @app.middleware("http")
+    async def refuse_changes(request: Request, go_on: RequestResponseEndpoint) -> Response:
+        if allowed or request.method in ("GET", "HEAD"):
+            return await go_on(request)
+        cause, why = "refused.faults_not_allowed", "this emulator was started without --allow-faults"
+        return respond(problem(_STATUS_OF_CAUSE[cause], cause, why, instance=request.url.path))
+
     add_docs(app)
     _add_reading(app, plant, allowed)
     _add_changing(app, plant)
@@ -224,14 +232,6 @@ def _add_changing(app: FastAPI, plant: FaultedPlant) -> None:
         return {"restarts": True}
 
 
-def not_allowed(asked: GuardedRequest) -> Refusal | None:
-    """The problem of a request that would change anything, before its body is read."""
-    if asked.method in ("GET", "HEAD"):
-        return None
-    cause, why = "refused.faults_not_allowed", "this emulator was started without --allow-faults"
-    return asked.refused(_STATUS_OF_CAUSE[cause], cause, why)
-
-
 def _problem_of(error: RequestValidationError) -> dict[str, Any]:
     """The problem of an order that fits no schema; it says which value, and whether of a fault's own."""
     first = error.errors()[0]
@@ -255,7 +255,7 @@ async def serve(config: FaultApiConfig, listener: socket.socket, link: socket.so
     with service_socket() as (at, behind):
         server = RestServer(app)
         serving = asyncio.create_task(server.serve([behind]))
-        async with door(listener, at, access, log, None if config.allowed else not_allowed):
+        async with door(listener, at, access, log):
             link.send(READY)
             await plant.ended.wait()
         server.should_exit = server.force_exit = True  # without a plant nothing under way can be answered

@@ -11,7 +11,7 @@ from fastapi import FastAPI
 
 from foundation.rest.door import Door
 from foundation.rest.door_connection import Stops
-from foundation.rest.guard import ANYBODY_HERE, Access, Guard, Refuse
+from foundation.rest.guard import ANYBODY_HERE, Access, Guard
 from foundation.rest.problems import RefusalLines, RefusalLog
 from foundation.rest.server import RestServer, service_socket
 
@@ -31,7 +31,6 @@ def serving(
     log: RefusalLines | None = None,
     *,
     stops: Stops | None = None,
-    refuse: Refuse | None = None,
     **places: Any,
 ) -> Iterator[Serving]:
     """``app``, served for as long as the block lasts."""
@@ -42,7 +41,7 @@ def serving(
 
         async def serve() -> None:
             server = RestServer(app)
-            door = Door(at, Guard(access, refusals, refuse), access.stops, stops, **places)
+            door = Door(at, Guard(access, refusals), access.stops, stops, **places)
             task = asyncio.create_task(server.serve([behind]))
             front = await door.serve(listening)
             loops.append(asyncio.get_running_loop())

@@ -293,17 +293,21 @@ def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client,
     assert plant.faults.all() == before
 
 
-async def test_without_permission_a_body_is_refused_before_it_comes() -> None:
+async def test_a_body_too_large_and_what_is_not_permitted_are_refused_before_a_body_comes() -> None:
     """Over a real socket: the answer is there although of 50 MB not one byte was sent."""
     config = FaultApiConfig(host="127.0.0.1", port=0, allowed=False)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs, socket.create_server(("127.0.0.1", 0)) as listening:
         serving = asyncio.create_task(serve(config, listening, theirs, EventLog("fault_api", io.StringIO())))
         port = listening.getsockname()[1]
-        for framing in ("Content-Length: 50000000", "Content-Length: 9", "Transfer-Encoding: chunked"):
+        for framing, status, cause in (
+            ("Content-Length: 50000000", 413, "request.too_large"),
+            ("Transfer-Encoding: chunked", 411, "request.length_wanted"),
+            ("Content-Length: 0\r\nConnection: close", 403, "refused.faults_not_allowed"),
+        ):
             answer = await _answer(port, f"POST /faults HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n")
-            assert answer.startswith(b"HTTP/1.1 403 ")
-            assert b'"refused.faults_not_allowed"' in answer
+            assert answer.startswith(f"HTTP/1.1 {status} ".encode())
+            assert f'"{cause}"'.encode() in answer
         answer = await _answer(port, "DELETE /faults HTTP/1.1\r\nHost: evil.example\r\n\r\n")
         assert b'"refused.foreign_host"' in answer
         ours.close()

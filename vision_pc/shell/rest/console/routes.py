@@ -179,7 +179,7 @@ class Console:
         self._failed: set[str] = set()
         self._pace = MeasuringPace()
         self._measuring: asyncio.Task[None] | None = None
-        pictures = LivePictures(application.camera.pair_after)
+        pictures = LivePictures(lambda after_ns: application.camera.pair_after(after_ns))
         self.state = Broadcast(self._snapshot, _STATE_PERIOD_S, _MOST_OF_STATE, "the state")
         self.pictures = Broadcast(pictures.next_message, PICTURE_PERIOD_S, _MOST_OF_PICTURES, "the pictures")
 
