@@ -37,7 +37,7 @@ LABORATORY := $(addprefix tests/, \
 	faults/test_vision.py \
 	foundation/test_compiled.py \
 	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
-		prometheus.py stop_behind_flood.py crashes.py compose.py containers.py rest_page.py) \
+		prometheus.py stop_behind_flood.py stop_way.py crashes.py compose.py containers.py rest_page.py) \
 	longreach/test_documented.py longreach/test_pages_run.py \
 	plant_emulator/shell/test_plant_process.py \
 	laboratory \

@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import uvloop
 
 from foundation.event_log import EventLog
 from protocol.reference_messages import ANY_ARM
@@ -61,4 +62,5 @@ async def found_at_each() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(asyncio.run(found_at_each()))
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:  # as the service does
+        sys.exit(runner.run(found_at_each()))

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 
 from foundation.secret_source import read_key
 from protocol.client_session import ReferenceClient
-from protocol.datagram_layout import MAX_DATAGRAM_BYTES
 from protocol.errors import LinkLost
 from protocol.reference_messages import FLAG_PLANT_LINK_OK, Request
 from protocol.session_events import (
@@ -27,7 +26,6 @@ from vision_pc.config.vision import LinkSettings
 from vision_pc.core.types import StereoPair
 
 _TRIED_S = 1.0  # for so long an address is tried
-_MOST_AT_ONCE = 256  # datagrams
 _Address = tuple[int, Any]  # family, and what connects to it
 
 
@@ -152,7 +150,7 @@ class Beside(Protocol):
         """Take over what it has sent."""
 
 
-class UdpEndpoint:
+class UdpEndpoint(asyncio.DatagramProtocol):
     """A socket to the controller at ``settings.host`` with the ``link`` over it.
 
     ``arm_hash``: of the arm that the controller must drive, or ``ANY_ARM``. While there is no session the
@@ -165,7 +163,7 @@ class UdpEndpoint:
         self._host, self._port = settings.host, settings.port
         self._clock = clock
         self._beside = beside
-        self._socket: socket.socket | None = None
+        self._transport: asyncio.DatagramTransport | None = None
         self._address: _Address | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._finding: asyncio.Task[None] | None = None
@@ -182,7 +180,9 @@ class UdpEndpoint:
         """
         if self._beside is not None:
             self._beside.attach(self.link)
-        any(self._open(each) for each in await self._addresses())
+        for each in await self._addresses():
+            if await self._open(each):
+                break
         self.link.connect()
         self._finding = asyncio.create_task(self._keep_finding())
 
@@ -197,10 +197,9 @@ class UdpEndpoint:
     def flush(self) -> None:
         """Send what the link wants sent, and set the timer for its next deadline."""
         now_ns = self._clock.now_ns
-        if self._socket is not None:
+        if self._transport is not None:
             for datagram in self.link.outgoing(now_ns):
-                with contextlib.suppress(OSError):  # nobody listens there (yet): the timeouts deal with it
-                    self._socket.send(datagram)
+                self._transport.sendto(datagram)
             if self._beside is not None:
                 self._beside.sent(self.link)
         if self._timer is not None:
@@ -216,22 +215,15 @@ class UdpEndpoint:
         self.link.tick()
         self.flush()
 
-    def _receive(self) -> None:
-        """Read the socket empty, then use what has come."""
-        assert self._socket is not None
-        came: list[bytes] = []
-        while len(came) < _MOST_AT_ONCE:
-            try:
-                came.append(self._socket.recv(MAX_DATAGRAM_BYTES + 1))
-            except BlockingIOError:
-                break
-            except OSError:  # nobody listens there (yet)
-                continue
+    # asyncio's side
+    def datagram_received(self, data: bytes, addr: Any) -> None:
         if self._beside is not None:
             self._beside.hear()
-        for data in came:
-            self.link.receive(data)
+        self.link.receive(data)
         self.flush()
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody listens there (yet): the session's own timeouts deal with it."""
 
     async def _keep_finding(self) -> None:
         while True:
@@ -243,7 +235,7 @@ class UdpEndpoint:
                 at = addresses.index(self._address) + 1 if self._address in addresses else 0
                 following = addresses[at % len(addresses)]
                 if following != self._address and self.link.credentials is None:
-                    self._open(following)
+                    await self._open(following)
 
     async def _addresses(self) -> list[_Address]:
         """Every address of the host. Raises LinkLost (``link.no_address``)."""
@@ -256,7 +248,7 @@ class UdpEndpoint:
             raise LinkLost("link.no_address", why) from error
         return [(family, address) for family, _, _, _, address in found]
 
-    def _open(self, where: _Address) -> bool:
+    async def _open(self, where: _Address) -> bool:
         """Have a socket to another address; whether there is a way there."""
         self._close_socket()
         self._address = where
@@ -267,14 +259,13 @@ class UdpEndpoint:
         except OSError:
             opened.close()
             return False
-        self._socket = opened
-        asyncio.get_running_loop().add_reader(opened.fileno(), self._receive)
         if self._beside is not None:
             self._beside.opened(opened)
+        loop = asyncio.get_running_loop()
+        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, sock=opened)
         return True
 
     def _close_socket(self) -> None:
-        if self._socket is not None:
-            asyncio.get_running_loop().remove_reader(self._socket.fileno())
-            self._socket.close()
-            self._socket = None
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
