@@ -238,8 +238,8 @@ def stopped_is_not_done(peer: Peer) -> None:
     require(not peer.state().flags & FLAG_SETTLED, "SETTLED although it is disabled")
 
 
-def _leads(ahead: Sequence[int]) -> bool:
-    """Whether the command is not behind (−1) the measurement most of the times that they differ."""
+def _leads(ahead: Sequence[float]) -> bool:
+    """Whether the command is not behind (negative) the measurement in most of what they differ by."""
     return sum(ahead) >= -MOSTLY * sum(map(abs, ahead))
 
 
@@ -253,13 +253,12 @@ def measured_follows(peer: Peer) -> None:
     last = states[-1]
     joint = max(range(6), key=lambda j: abs(last.q_cmd[j] - begin.q_cmd[j]))
     on_its_way = states[: max(len(states) // 2, 4)]
-    ahead = [
-        (abs(s.q_cmd[joint] - begin.q_cmd[joint]) > abs(s.q_meas[joint] - begin.q_meas[joint]))
-        - (abs(s.q_cmd[joint] - begin.q_cmd[joint]) < abs(s.q_meas[joint] - begin.q_meas[joint]))
-        for s in on_its_way
+    travel = [end - first for end, first in zip(last.q_cmd, begin.q_cmd, strict=True)]
+    ahead = [  # of all joints: a wrist without a load may lead
+        sum(t * (c - m) for t, c, m in zip(travel, s.q_cmd, s.q_meas, strict=True)) for s in on_its_way
     ]
     require(_leads(ahead), "q_meas is ahead of q_cmd")
-    ahead = [(s.X_BT_cmd.p_m[2] > s.X_BT.p_m[2]) - (s.X_BT_cmd.p_m[2] < s.X_BT.p_m[2]) for s in on_its_way]
+    ahead = [s.X_BT_cmd.p_m[2] - s.X_BT.p_m[2] for s in on_its_way]
     require(_leads(ahead), "X_BT is ahead of X_BT_cmd")
     require(abs(last.q_meas[joint] - begin.q_meas[joint]) > 1e-3, "q_meas does not move with the arm")
     require(abs(last.X_BT.p_m[2] - begin.X_BT.p_m[2]) > 0.01, "X_BT does not move with the arm")
