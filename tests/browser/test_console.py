@@ -138,6 +138,7 @@ def test_a_fault_is_told_with_the_way_on_and_a_lost_service_greys_the_page(brows
             expect(page.locator("#resume")).to_be_hidden()
             hold(page, "#enable")
             is_state(page, "standby")
+            expect(page.locator("#alarm-rows tr.active")).to_have_count(0, timeout=WITHIN_MS)
         expect(page.locator("html")).to_have_class("stale", timeout=WITHIN_MS)
         expect(page.locator("#chips")).to_contain_text("no word from the vision PC")
         expect(page.locator("#alarm-line")).to_contain_text("Alarms are not known")
