@@ -234,7 +234,8 @@ class UdpEndpoint(asyncio.DatagramProtocol):
                 addresses = await self._addresses()
                 at = addresses.index(self._address) + 1 if self._address in addresses else 0
                 following = addresses[at % len(addresses)]
-                if following != self._address and self.link.credentials is None:
+                unheard = self.link.credentials is None
+                if unheard and (following != self._address or self._transport is None):
                     await self._open(following)
 
     async def _addresses(self) -> list[_Address]:
@@ -252,13 +253,14 @@ class UdpEndpoint(asyncio.DatagramProtocol):
         """Have a socket to another address; whether there is a way there."""
         self._close_socket()
         self._address = where
-        opened = socket.socket(where[0], socket.SOCK_DGRAM)
-        try:
-            opened.setblocking(False)
-            opened.connect(where[1])
-        except OSError:
-            opened.close()
-            return False
+        with contextlib.ExitStack() as closing:
+            try:
+                opened = closing.enter_context(socket.socket(where[0], socket.SOCK_DGRAM))
+                opened.setblocking(False)
+                opened.connect(where[1])
+            except OSError:  # no such family here, or no way there
+                return False
+            closing.pop_all()
         if self._beside is not None:
             self._beside.opened(opened)
         loop = asyncio.get_running_loop()

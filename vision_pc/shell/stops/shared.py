@@ -30,10 +30,8 @@ class SharedNumbers:
     def answer(self, command_id: int, reason: int) -> None:
         """Note that the controller has answered a request."""
         at = _ANSWERS + 2 * (self._numbers[_COUNT] % _KEPT)
-        self._numbers[at + 1], self._numbers[at] = (
-            reason,
-            command_id,
-        )  # the reason first: the id says it is there
+        self._numbers[at + 1] = reason
+        self._numbers[at] = command_id  # last: it says that the reason is there
         self._numbers[_COUNT] += 1
 
     def reason_of(self, command_id: int) -> int | None:
