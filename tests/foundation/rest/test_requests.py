@@ -8,10 +8,8 @@ import pytest
 
 from foundation.rest.door_connection import IDLE_S
 from foundation.rest.http_messages import (
-    MOST_HEAD_BYTES,
     Head,
     RequestUnreadable,
-    spelling,
     take_body,
     take_head,
 )
@@ -80,25 +78,6 @@ def test_no_beginning_takes_long_to_read(kind: str) -> None:
         read(data[:size])
         longest_s = max(longest_s, time.thread_time() - began_s)
     assert longest_s < 0.005
-
-
-@pytest.mark.parametrize(
-    "junk", [b" " * 16_000, b":" * 16_000, b"a: " * 5000, b"\t\r" * 8000, b"x:y\r\n" * 3000]
-)
-def test_no_run_of_characters_takes_long_to_read(junk: bytes) -> None:
-    began_s = time.thread_time()
-    assert (
-        read(b"GET / HTTP/1.1\r\nHost: h\r\nX: " + junk[: MOST_HEAD_BYTES - 50] + b"\r\n\r\n") is None or True
-    )
-    assert time.thread_time() - began_s < 0.005
-
-
-def test_a_spelling_is_one_of_a_path() -> None:
-    assert {spelling(target) for target in ("/stop", "//STOP/", "http://h:1/stop#x", "/./st%6Fp?x=/y")} == {
-        "/stop"
-    }
-    assert spelling("/emergency_stop") == "/emergency-stop"
-    assert spelling("/stop/x") == "/stop/x"
 
 
 def test_an_idle_connection_outlives_that_of_a_proxy() -> None:
