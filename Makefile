@@ -37,16 +37,15 @@ LABORATORY := $(addprefix tests/, \
 	faults/test_vision.py \
 	foundation/test_compiled.py \
 	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
-		prometheus.py stop_behind_flood.py stop_way.py crashes.py compose.py containers.py rest_page.py) \
+		prometheus.py stop_behind_flood.py stop_way.py crashes.py compose.py containers.py same_twice.py) \
 	longreach/test_documented.py longreach/test_pages_run.py \
 	plant_emulator/shell/test_plant_process.py \
 	laboratory \
-	$(addprefix testbed/, arms camera cli commissioning demonstration exports \
-		hand_eye test_lockstep_repeats.py \
-		lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py) \
-	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
-		$(addprefix hand_eye/test_, cabinet.py held_out.py robust.py) \
-		$(addprefix odometry/test_, arm_motion.py bundle_adjustment.py segments.py) \
+	$(addprefix testbed/, arms camera cli commissioning exports \
+		hand_eye test_lockstep_repeats.py lockstep/test_warm_up.py \
+		pictures recordings reporting scenarios/test_nobody_knows.py) \
+	$(addprefix vision_pc/, $(addprefix hand_eye/test_, conventions.py held_out.py robust.py) \
+		$(addprefix odometry/test_, arm_motion.py segments.py varied_sequences.py) \
 		$(addprefix perception/test_, chance_markers.py other_prints.py stereo_fit.py) \
 		$(addprefix targets/test_, measuring.py surroundings.py) \
 		$(addprefix shell/test_, api_schema.py genicam.py strangers.py target_routes.py)))
@@ -54,7 +53,7 @@ LABORATORY := $(addprefix tests/, \
 # A whole machine beside ROS for each file: one at a time, or two cores do not keep up.
 BRIDGE_TESTS := tests/longreach_ros2/bridge
 
-.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench experiments docs lint types imports compose-test sbom audit lock clean
+.PHONY: help setup setup-dev demo test test-all other-machines pythons coverage foreign-tools peers ros-peers prometheus browser bench bench-before experiments docs lint types imports compose-test sbom audit lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -85,10 +84,10 @@ setup: $(RUN_STAMP)  ## virtual environment with what runs
 
 setup-dev: $(DEV_STAMP)  ## that and what tests
 
-demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict against 5 mm (ARGS="--seed 3")
-	$(BIN)/longreach demo $(ARGS)
+demo: $(RUN_STAMP)  ## the whole loop, three processes, as fast as they go; verdict against 5 mm (ARGS="--seed 3")
+	$(BIN)/longreach demo --pace 0 $(ARGS)
 
-test: $(DEV_STAMP)  ## the product's tests, three and a half minutes of two cores (ARGS="-k kinematics")
+test: $(DEV_STAMP)  ## the product's tests, five minutes of two cores (ARGS="-k kinematics")
 	@$(PYTEST) $(LABORATORY:%=--ignore=%) $(ARGS)
 
 # One budget of retries for all runs (tests/support/real_time.py).
@@ -138,16 +137,23 @@ browser:  ## Debian's Chromium, in which the tests try the console (root or sudo
 	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends chromium > /dev/null \
 	|| { echo "browser: chromium could not be installed; the console is NOT tried" >&2; exit 1; }
 
-bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers
+bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers, then bench-before
 	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(or $(ARGS),tests/benchmarks)
+	$(if $(ARGS),,$(MAKE) bench-before)
+
+bench-before: $(DEV_STAMP)  ## how fast lockstep is beside the commit before, in turn (BEFORE=COMMIT: beside that one)
+	rm -rf dist/before && git worktree prune && git worktree add --quiet --detach dist/before $(or $(BEFORE),HEAD~1)
+	for tree in dist/before .; do ( cd $$tree && PYTHONPATH=$$PWD "$(abspath $(BIN))/python" -m pytest -p no:cacheprovider -q -m bench --benchmark-enable -s tests/benchmarks/test_lockstep.py ) || true; done \
+	| awk -F': ' '/times real time/ { split($$2, now, " "); if ($$1 in before) printf "%s: %.1f times real time, before %.1f, ratio %.2f\n", $$1, now[1], before[$$1], now[1] / before[$$1]; else before[$$1] = now[1] }'
+	git worktree remove --force dist/before
 
 experiments: $(DEV_STAMP)  ## long, seeded experiments
 	$(BIN)/python -m pytest -m experiment --timeout 0 -s $(ARGS)
 
-docs: $(DEV_STAMP)  ## the pages as a site with references from the code, examined: dist/site/index.html
+docs: $(DEV_STAMP)  ## the pages as a site with references from the code, and what short commands print: dist/site/index.html
 	rm -rf dist/site
 	$(BIN)/python -m sphinx -W --keep-going -q -j $(PROCESSES) -d dist/site-read -c docs . dist/site
-	$(BIN)/python -m tools.site.extension dist/site
+	$(BIN)/python -m tools.printed --check --quick
 
 lint: $(DEV_STAMP)  ## ruff
 	$(BIN)/ruff check .

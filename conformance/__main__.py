@@ -2,14 +2,8 @@
 
 import sys
 
-import typer
-
-from conformance.command import coupler, reference
+from conformance.command import app
 from protocol.errors import LongreachError
-
-app = typer.Typer(help="Numbered questions to any controller or coupler.")
-for command in (reference, coupler):
-    app.command()(command)
 
 
 def main() -> None:

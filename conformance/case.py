@@ -7,7 +7,6 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from conformance.master import Master
 from conformance.parts import OptionalPart, Profile
 from conformance.peer import Peer
-from conformance.subjects import LatenessFigures
 from conformance.wire import Line
 from protocol.errors import LinkLost
 
@@ -50,15 +49,25 @@ class CaseRegister(Generic[P]):
         self._cases: dict[int, ConformanceCase] = {}
 
     def case(
-        self, number: int, clause: str, title: str, *, motion: bool = False, needs: OptionalPart | None = None
-    ) -> Callable[[Callable[[P], None]], Callable[[P], None]]:
-        """Decorator that enters a function; raises ValueError when the number is taken."""
+        self, number: int, clause: str, title: str, *, motion: bool = False,
+        needs: OptionalPart | None = None, opens: int | None = None,
+    ) -> Callable[[Callable[[P], None]], Callable[[P], None]]:  # fmt: skip
+        """Decorator that enters a function; raises ValueError when the number is taken.
+
+        ``opens``: a session is opened before, with STATE every so many ms.
+        """
         parts = frozenset({self._moves} if motion else ()) | frozenset({needs} if needs else ())
 
         def enter(run: Callable[[P], None]) -> Callable[[P], None]:
             if number in self._cases:
                 raise ValueError(f"case {number} is there twice")
-            self._cases[number] = ConformanceCase(number, clause, title, motion, parts, run)
+
+            def begun(peer: Any) -> None:
+                if opens is not None:
+                    peer.open(period_ms=opens)
+                run(peer)
+
+            self._cases[number] = ConformanceCase(number, clause, title, motion, parts, begun)
             return run
 
         return enter
@@ -111,14 +120,17 @@ class Result(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """Results in the order in which they came; ``ended`` says why the run broke off, None if it did not."""
+    """Results in the order in which they came; ``ended`` says why the run broke off, None if it did not.
+
+    ``late_ms``: the greatest lateness of the tester.
+    """
 
     suite: str
     host: str
     port: int
     results: tuple[Result, ...]
     seconds: float
-    lateness: LatenessFigures
+    late_ms: float
     profile: Profile | None = None
     ended: LinkLost | None = None
 

@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -22,7 +23,7 @@ from conformance.records import (
     transcript,
     write_records,
 )
-from conformance.runner import Manner, chosen, coupler_cases, reference_cases, run_coupler, run_reference
+from conformance.runner import chosen, coupler_cases, reference_cases, run_coupler, run_reference
 from foundation.command_options import unfolded
 from foundation.secret_source import key_from_file, known_host
 from protocol.errors import ConfigurationError
@@ -100,19 +101,12 @@ def print_results(console: Console, summary: Summary) -> None:
     flaky = [str(r.case.number) for r in summary.results if r.outcome is CaseOutcome.FLAKY]
     if flaky:
         console.print(f"flaky, passed when asked again: {', '.join(flaky)}")
-    late = summary.lateness
-    figures = f"p50 {late.p50_ms:.1f}, p99 {late.p99_ms:.1f}, max {late.max_ms:.1f} ms"
-    console.print(f"the tester itself was late by {figures}")
+    console.print(f"the tester itself was late by at most {summary.late_ms:.1f} ms")
 
 
 app = typer.Typer(help="Numbered questions to any controller or coupler, each citing a written clause.")
 
 _PARTS = ", ".join(part.value for part in OptionalPart)
-
-
-@app.callback()
-def conformance() -> None:
-    """Numbered questions to any controller or coupler, each citing a written clause."""
 
 
 Host = Annotated[str, typer.Option(help="Where it is.")]
@@ -131,7 +125,7 @@ class Asking(NamedTuple):
     profile: Annotated[
         str | None,
         typer.Option(
-            help=f"What is claimed: a YAML file, or names joined by commas of {_PARTS}; {BASE}: none. "
+            help=f"What is claimed, joined by commas, of {_PARTS}; {BASE}: none. "
             "What is claimed and missing fails, what is not claimed is not asked for."
         ),
     ] = None
@@ -141,10 +135,6 @@ class Asking(NamedTuple):
             "--first-hour", help="In the order to implement in, up to the first failure, with hints."
         ),
     ] = False
-
-    def manner(self) -> Manner:
-        """How the cases are asked; raises ConfigurationError."""
-        return Manner(None if self.profile is None else profile_from(self.profile), self.first_hour)
 
 
 @app.command(epilog="Example: longreach conformance reference --host 127.0.0.1 --port 47000 --out answers")
@@ -165,21 +155,10 @@ def reference(
 
     Exit status 0: every supported case passes; 1: one does not; 2: nobody to ask, or lost on the way.
     """
-    steps = REFERENCE_STEPS if asking.first_hour else None
-    if asking.list_cases:
-        print_cases(chosen(reference_cases(), None, steps))
-        return
     known_host(host)
-    picked = _case_numbers(asking.case, reference_cases())
     link_key = None if key is None else key_from_file(key)
-    manner = asking.manner()
-
-    def run(show: Callable[[Result], None]) -> Summary:
-        return run_reference(
-            host, port, numbers=picked, motion=motion, seed=seed, key=link_key, manner=manner, on_result=show
-        )
-
-    _finish(len(chosen(reference_cases(), picked, steps)), run, asking, steps)
+    run = partial(run_reference, host, port, motion=motion, seed=seed, key=link_key)
+    _ask(run, asking, reference_cases(), REFERENCE_STEPS)
 
 
 @app.command(epilog="Example: longreach conformance coupler --host 127.0.0.1 --port 1502 --outputs")
@@ -197,20 +176,9 @@ def coupler(
 
     Exit status 0: every supported case passes; 1: one does not; 2: nobody to ask, or lost on the way.
     """
-    steps = COUPLER_STEPS if asking.first_hour else None
-    if asking.list_cases:
-        print_cases(chosen(coupler_cases(), None, steps))
-        return
     known_host(host)
-    picked = _case_numbers(asking.case, coupler_cases())
-    manner = asking.manner()
-
-    def run(show: Callable[[Result], None]) -> Summary:
-        return run_coupler(
-            host, port, unit=unit, numbers=picked, outputs=outputs, manner=manner, on_result=show
-        )
-
-    _finish(len(chosen(coupler_cases(), picked, steps)), run, asking, steps)
+    run = partial(run_coupler, host, port, unit=unit, outputs=outputs)
+    _ask(run, asking, coupler_cases(), COUPLER_STEPS)
 
 
 def _case_numbers(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
@@ -221,23 +189,29 @@ def _case_numbers(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) 
     return picked
 
 
-def _finish(
-    total: int,
-    run: Callable[[Callable[[Result], None]], Summary],
+def _ask(
+    run: Callable[..., Summary],
     asking: Asking,
-    steps: tuple[FirstHourStep, ...] | None,
+    cases: tuple[ConformanceCase, ...],
+    in_order: tuple[FirstHourStep, ...],
 ) -> None:
     """Runs, shows and writes; ends the command with its status, or raises LinkLost if the run broke off."""
+    steps = in_order if asking.first_hour else None
+    if asking.list_cases:
+        print_cases(chosen(cases, None, steps))
+        return
+    picked = _case_numbers(asking.case, cases)
+    profile = None if asking.profile is None else profile_from(asking.profile)
     console = Console()
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("asking", total=total)
+        task = progress.add_task("asking", total=len(chosen(cases, picked, steps)))
 
         def show(result: Result) -> None:
             progress.advance(task)
             if asking.first_hour or result.outcome in SHOWN_AT_ONCE:
                 progress.console.print(result_line(result))
 
-        summary = run(show)
+        summary = run(numbers=picked, profile=profile, first_hour=asking.first_hour, on_result=show)
     if steps is not None:
         print_step(console, summary, steps)
     elif summary.results:

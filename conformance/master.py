@@ -21,7 +21,7 @@ from protocol.coupler_registers import (
 ANSWER_MS = 1000
 INPUTS, OUTPUTS = 0x0000, 0x0800
 READ_HOLDING, WRITE_REGISTER, WRITE_REGISTERS = 3, 6, 16
-EXPIRED, OWNED = 4, 6
+OWNED = 6
 _MBAP = struct.Struct(">HHHB")
 
 
@@ -52,10 +52,9 @@ def word_request(address: int, word: int) -> bytes:
 class Master:
     """One TCP connection to the coupler under test, that can misbehave."""
 
-    def __init__(self, host: str, port: int, unit: int, *, outputs: bool, left_expired: bool = False,
+    def __init__(self, host: str, port: int, unit: int, *, outputs: bool,
                  record: list[Line] | None = None, begin_ns: int = 0) -> None:  # fmt: skip
         self.address = (host, port)
-        self._left_expired = left_expired
         self.unit = unit
         self.transcript: list[Line] = [] if record is None else record
         self._begin_ns = begin_ns or time.monotonic_ns()
@@ -69,8 +68,7 @@ class Master:
     def second(self) -> "Master":
         """Another connection, sharing the transcript."""
         other = Master(*self.address, self.unit, outputs=self._outputs_allowed,
-                       left_expired=self._left_expired, record=self.transcript,
-                       begin_ns=self._begin_ns)  # fmt: skip
+                       record=self.transcript, begin_ns=self._begin_ns)  # fmt: skip
         self._others.append(other)
         return other
 
@@ -143,10 +141,7 @@ class Master:
     # requests
 
     def ask(self, pdu: bytes, *, unit: int | None = None, transaction: int | None = None) -> bytes:
-        """The answer's PDU; raises Failed unless it repeats transaction and unit.
-
-        Raises Unsupported where the coupler answers that its watchdog has expired and the run found it so.
-        """
+        """The answer's PDU; raises Failed unless it repeats transaction and unit."""
         frame = self.frame(pdu, transaction=transaction, unit=unit)
         self.send_raw(frame)
         answer = self.receive()
@@ -155,8 +150,6 @@ class Master:
         sent = _MBAP.unpack_from(frame)
         require(answer[0] == sent[0], f"transaction {sent[0]} was answered as {answer[0]}")
         require(answer[1] == sent[3], f"unit {sent[3]} was answered as {answer[1]}")
-        if self._left_expired and answer[2] == bytes([pdu[0] | 0x80, EXPIRED]):
-            raise Unsupported("its watchdog had expired before the run: a reset needs --outputs")
         return answer[2]
 
     def done(self, pdu: bytes, what: str) -> bytes:

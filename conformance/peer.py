@@ -1,8 +1,10 @@
 """The tester's end of the reference link."""
 
 import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
-from conformance.wire import ANSWER_MS, MS, Failed, NoAnswer, Unsupported, Wire
+from conformance.wire import ANSWER_MS, MS, Failed, NoAnswer, Unsupported, Wire, require
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import (
     Acknowledgement,
@@ -20,6 +22,13 @@ HELLO_MS = 100
 SESSION_MS = 6000
 # A refusal outside a session is rationed to one in 50 ms: a second one is asked for no sooner.
 RATION_MS = 60
+
+
+class Tallies(NamedTuple):
+    """What STATE counts as lost and as dropped."""
+
+    lost: int
+    dropped: int
 
 
 class Peer(Wire):
@@ -46,6 +55,7 @@ class Peer(Wire):
     ) -> Welcome:
         """Opens a session, waiting while another one is still open. Raises Failed."""
         hello = Hello(nonce or self.nonce(), capabilities | self.required, arm_hash, period_ms)
+        self.session = 0
         if sequence is not None:
             self.sequence = (sequence - 1) % self.sequences
         answer = self.greeted(hello, SESSION_MS, minor)
@@ -55,6 +65,11 @@ class Peer(Wire):
         if answer is not None:
             _require_retry(answer)
         raise NoAnswer(f"no session within {SESSION_MS} ms")
+
+    def reopen(self, **how: Any) -> Welcome:
+        """Say BYE and open another session, as ``open``."""
+        self.leave()
+        return self.open(**how)
 
     def greeted(self, hello: Hello, wait_ms: int, minor: int = 0) -> Welcome | Reason | None:
         """What comes of ``hello``: its WELCOME, or the reason of BYE, or None when nothing comes.
@@ -80,24 +95,23 @@ class Peer(Wire):
             time.sleep(HELLO_MS / 1e3)
         return reason
 
+    def send_beside(self, source: Wire, data: Callable[[], bytes]) -> None:
+        """Send ``data`` from ``source``; the number that it takes is taken again."""
+        number = self.sequence
+        source.send_raw(data())
+        self.sequence = number
+
     def leave(self, reason: Reason = Reason.SHUTDOWN) -> None:
         """Says BYE and forgets the session."""
         self.send(Bye(reason))
         self.session = 0
-        self.welcome = None
 
     def alive(self, why: str) -> HeartbeatReply:
         """The reply to a heartbeat of now; raises Failed with ``why`` when there is none."""
         now_ns = self.now_ns
         self.send(Heartbeat(now_ns), sent_ns=now_ns)
-        until_ns = now_ns + ANSWER_MS * MS
-        while (left_ns := until_ns - self.now_ns) > 0:
-            reply = self.expect(
-                HeartbeatReply, f"{why}: the session is not alive", left_ns / MS, beating=False
-            )
-            if reply.sent_ns == now_ns:
-                return reply
-        raise Failed(f"{why}: the session is not alive")
+        what = f"{why}: the session is not alive"
+        return self.expect(HeartbeatReply, what, beating=False, wanted=lambda r: r.sent_ns == now_ns)
 
     def ask(self, request: Request, why: str) -> Acknowledgement:
         """The acknowledgement of ``request``, sent once under its own id."""
@@ -106,12 +120,7 @@ class Peer(Wire):
 
     def answer_to(self, command_id: int, why: str, wait_ms: float = ANSWER_MS) -> Acknowledgement:
         """The next acknowledgement of ``command_id``; raises Failed."""
-        until_ns = self.now_ns + int(wait_ms * MS)
-        while (left_ns := until_ns - self.now_ns) > 0:
-            answer = self.expect(Acknowledgement, why, left_ns / MS)
-            if answer.command_id == command_id:
-                return answer
-        raise Failed(f"{why}: no acknowledgement of {command_id}")
+        return self.expect(Acknowledgement, why, wait_ms, wanted=lambda a: a.command_id == command_id)
 
     def command(self, code: CommandCode) -> Reason:
         """The reason that answers a new command."""
@@ -130,6 +139,37 @@ class Peer(Wire):
         self.drain()
         self.expect(State, why, 1000)
         return self.expect(State, why, 1000)
+
+    def until(self, wanted: Callable[[State], bool], wait_ms: float, why: str) -> State:
+        """The first STATE that is ``wanted``. Raises Failed."""
+        for state in self.states(wait_ms, why):
+            if wanted(state):
+                return state
+        raise Failed(f"{why}: not within {wait_ms:g} ms; {state.group_state.name}, fault {state.fault.name}")
+
+    def tallies(self) -> Tallies:
+        """What STATE counts now."""
+        state = self.state()
+        return Tallies(state.references_lost, state.references_dropped)
+
+    def require_counted(
+        self, before: Tallies, what: str, *, lost: int | None = None, dropped: int | None = None
+    ) -> Tallies:
+        """What STATE counts now; Failed unless so many more were ``lost``, ``dropped`` (None: any number)."""
+        now = self.tallies()
+        for name, counted, wanted in zip(
+            Tallies._fields, zip(now, before, strict=True), (lost, dropped), strict=True
+        ):
+            more = counted[0] - counted[1]
+            require(wanted in (None, more), f"{what}: {more} {name}, wanted {wanted}")
+        return now
+
+    def states(self, wait_ms: float, why: str = "STATE is sent") -> Iterator[State]:
+        """STATEs of ``wait_ms``, each sent after the one before was used; at least one. Raises Failed."""
+        until_ns = self.now_ns + int(wait_ms * MS)
+        yield self.state(why)
+        while self.now_ns < until_ns:
+            yield self.state(why)
 
 
 def _require_retry(reason: Reason) -> None:

@@ -139,7 +139,7 @@ COUPLER_STEPS = tuple(
 
 
 SCHEMA = "longreach.conformance.results"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _BYTES_A_LINE = 32
 _MBAP_BYTES = 7
 _JUNIT_TAGS = {
@@ -175,11 +175,11 @@ def as_json(summary: Summary) -> dict[str, Any]:
         "suite": summary.suite,
         "host": summary.host,
         "port": summary.port,
-        "profile": None if profile is None else sorted(part.value for part in profile.claims),
+        "profile": None if profile is None else sorted(part.value for part in profile),
         "verdict": "ended" if ended is not None else summary.verdict.value,
         "ended": None if ended is None else {"cause": ended.cause, "message": str(ended)},
         "duration_s": round(summary.seconds, 3),
-        "tester_late": summary.lateness._asdict(),
+        "tester_late_max_ms": summary.late_ms,
         "counts": {outcome.value: summary.count(outcome) for outcome in CaseOutcome},
         "clauses": {
             clause: {
@@ -224,8 +224,7 @@ def junit(summary: Summary) -> bytes:
         time=f"{summary.seconds:.3f}",
     )
     properties = ElementTree.SubElement(suite, "properties")
-    for name, value in summary.lateness._asdict().items():
-        ElementTree.SubElement(properties, "property", name=f"tester_late.{name}", value=str(value))
+    ElementTree.SubElement(properties, "property", name="tester_late_max_ms", value=str(summary.late_ms))
     for result in summary.results:
         entry = ElementTree.SubElement(
             suite,

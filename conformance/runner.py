@@ -2,14 +2,15 @@
 
 import time
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from importlib import import_module
-from typing import NamedTuple
+from typing import Any
 
 from conformance.case import Attempt, CaseOutcome, ConformanceCase, Result, Summary, coupler, reference
 from conformance.parts import OptionalPart, Profile
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
-from conformance.subjects import NOTHING_FOUND, ControllerSubject, CouplerSubject, LatenessWatch, Subject
-from conformance.wire import Failed, NonceSource, Unsupported
+from conformance.subjects import ControllerSubject, CouplerSubject, Lacking, LatenessWatch, Subject
+from conformance.wire import Failed, Line, NonceSource, Unsupported
 from protocol.authentication import LinkKey
 from protocol.errors import LinkLost
 
@@ -26,17 +27,6 @@ _MODULES = (
 )  # fmt: skip
 
 
-class Manner(NamedTuple):
-    """How the cases are asked. ``profile`` None: nothing is claimed, and everything asked for.
-
-    ``first_hour``: in the order of ``conformance.records``, up to the first failure.
-    """
-
-    profile: Profile | None = None
-    first_hour: bool = False
-
-
-PLAIN = Manner()
 # The slack of the tightest cases. A tester that was later than this may have failed by itself; one that was
 # not has judged, and a second asking could only turn a fault that comes and goes into a pass.
 EXCUSED_MS = 5.0
@@ -69,69 +59,62 @@ def chosen(
 
 
 def run_reference(
-    host: str,
-    port: int,
-    *,
-    numbers: Iterable[int] | None = None,
-    motion: bool = False,
-    seed: int = 0,
-    key: LinkKey | None = None,
-    manner: Manner = PLAIN,
-    on_result: Callable[[Result], None] = lambda result: None,
+    host: str, port: int, *, motion: bool = False, seed: int = 0, key: LinkKey | None = None, **asking: Any
 ) -> Summary:
     """Results of the reference link's cases against the controller at ``host``:``port``.
 
-    ``numbers``: only these cases. ``motion``: also those that enable the group and move the arm by 20 mm;
-    without it they count as unsupported. ``seed`` 0 draws nonces from the clock; a controller remembers the
-    nonces of earlier runs, so another run needs another one. ``key``: every session is authenticated; without
-    one the cases about authentication are unsupported. ``on_result`` is called after every case.
+    ``motion``: also those that enable the group and move the arm by 20 mm; without it they count as
+    unsupported. ``seed`` 0 draws nonces from the clock; a controller remembers the nonces of earlier runs, so
+    another run needs another one. ``key``: every session is authenticated; without one the cases about
+    authentication are unsupported. ``asking``: as of ``run_suite``.
     """
-    nonces = NonceSource(seed or time.time_ns())
-    cases = chosen(reference_cases(), numbers, REFERENCE_STEPS if manner.first_hour else None)
-    return _run_cases(ControllerSubject(host, port, nonces, key, motion), cases, manner, on_result)
+    subject = ControllerSubject(host, port, NonceSource(seed or time.time_ns()), key, motion)
+    return run_suite(subject, reference_cases(), REFERENCE_STEPS, **asking)
 
 
-def run_coupler(
-    host: str,
-    port: int,
-    *,
-    unit: int = 1,
-    numbers: Iterable[int] | None = None,
-    outputs: bool = False,
-    manner: Manner = PLAIN,
-    on_result: Callable[[Result], None] = lambda result: None,
-) -> Summary:
+def run_coupler(host: str, port: int, *, unit: int = 1, outputs: bool = False, **asking: Any) -> Summary:
     """Results of the coupler's cases against the Modbus TCP coupler at ``host``:``port``.
 
-    ``numbers``: only these cases. ``outputs``: also those that write outputs and let the watchdog expire;
-    without it they count as unsupported. ``on_result`` is called after every case.
+    ``outputs``: also those that write outputs and let the watchdog expire; without it they count as
+    unsupported. ``asking``: as of ``run_suite``.
     """
-    cases = chosen(coupler_cases(), numbers, COUPLER_STEPS if manner.first_hour else None)
-    return _run_cases(CouplerSubject(host, port, unit, outputs), cases, manner, on_result)
+    return run_suite(CouplerSubject(host, port, unit, outputs), coupler_cases(), COUPLER_STEPS, **asking)
 
 
-def _run_cases(
-    subject: Subject, cases: tuple[ConformanceCase, ...], manner: Manner, on_result: Callable[[Result], None]
+def run_suite(
+    subject: Subject,
+    cases: tuple[ConformanceCase, ...],
+    steps: tuple[FirstHourStep, ...],
+    *,
+    numbers: Iterable[int] | None = None,
+    profile: Profile | None = None,
+    first_hour: bool = False,
+    on_result: Callable[[Result], None] = lambda result: None,
 ) -> Summary:
+    """What comes of ``cases``; ``on_result`` is called after every one.
+
+    ``numbers``: only these. ``profile`` None: nothing is claimed, and everything asked for. ``first_hour``:
+    in the order of ``steps``, up to the first failure.
+    """
     results: list[Result] = []
     ended = None
     begin_s = time.monotonic()
     with LatenessWatch() as watch:
-        asking = _Asking(subject, manner.profile, watch)
+        asking = _Asking(subject, profile, watch)
         try:
-            asking.begin(patient=manner.first_hour)
-            for case in cases:
+            asking.look(patient=first_hour)
+            for case in chosen(cases, numbers, steps if first_hour else None):
                 results.append(asking.result(case))
                 on_result(results[-1])
                 if results[-1].outcome is CaseOutcome.FAIL:
-                    if manner.first_hour:
+                    if first_hour:
                         break
-                    asking.still_there(case)
+                    asking.look(after=case)
         except LinkLost as lost:
             ended = lost
     return Summary(
         subject.suite, subject.host, subject.port, tuple(results), time.monotonic() - begin_s,
-        watch.figures(), manner.profile, ended,
+        watch.worst_ms(), profile, ended,
     )  # fmt: skip
 
 
@@ -139,25 +122,19 @@ class _Asking:
     """One run: asks each case, once more if the tester was late; knows what is withheld, lacking, claimed."""
 
     def __init__(self, subject: Subject, profile: Profile | None, watch: LatenessWatch) -> None:
-        self._subject = subject
+        self._subject, self._watch = subject, watch
         self._profile = profile
-        self._watch = watch
-        self._findings = NOTHING_FOUND
+        self._lacking: Lacking = {}
 
-    def begin(self, *, patient: bool) -> None:
-        """Looks at the peer; raises LinkLost, but not for mere silence when ``patient``."""
+    def look(self, *, patient: bool = False, after: ConformanceCase | None = None) -> None:
+        """Look at the peer; raises LinkLost, naming the case, but not for mere silence when ``patient``."""
         try:
-            self._findings = self._subject.look()
+            self._lacking = self._subject.look()
         except LinkLost as lost:
+            if after is not None:
+                raise LinkLost(lost.cause, f"after case {after.number}: {lost}") from lost
             if not patient or lost.cause != "link.no_answer":
                 raise
-
-    def still_there(self, case: ConformanceCase) -> None:
-        """Looks again after ``case`` failed; raises LinkLost, naming it."""
-        try:
-            self._findings = self._subject.look()
-        except LinkLost as lost:
-            raise LinkLost(lost.cause, f"after case {case.number}: {lost}") from lost
 
     def result(self, case: ConformanceCase) -> Result:
         """What comes of ``case``."""
@@ -165,54 +142,49 @@ class _Asking:
         if why is not None:
             return Result(case, *why)
         first = self._attempt(case)
+        once = Result(case, first.outcome, first.detail, (first,))
         if first.outcome is not CaseOutcome.FAIL or first.late_ms <= EXCUSED_MS:
-            return Result(case, first.outcome, first.detail, (first,))
+            return once
         try:
-            self._findings = self._subject.look()
-        except LinkLost:  # still_there tells of it
-            return Result(case, first.outcome, first.detail, (first,))
+            self.look()
+        except LinkLost:  # the look after a failure tells of it
+            return once
         again = self._attempt(case)
-        both = (first, again)
         if again.outcome is not CaseOutcome.PASS:
-            return Result(case, CaseOutcome.FAIL, first.detail, both)
+            return once._replace(attempts=(first, again))
         said = (
             f"the tester was {first.late_ms:.0f} ms late; passed when asked again; at first: {first.detail}"
         )
-        return Result(case, CaseOutcome.FLAKY, said, both)
+        return Result(case, CaseOutcome.FLAKY, said, (first, again))
 
     def _reason_not_to_ask(self, case: ConformanceCase) -> tuple[CaseOutcome, str] | None:
         """Outcome and reason of a case that need not be asked, or None."""
         for part in sorted(case.needs, key=lambda part: part.value):
-            if self._profile is not None and part not in self._profile.claims:
+            if self._profile is not None and part not in self._profile:
                 return CaseOutcome.UNSUPPORTED, f"not claimed by the profile: {part.value}"
             if part in self._subject.withheld:
                 return CaseOutcome.UNSUPPORTED, self._subject.withheld[part]
-            if part in self._findings.lacking:
-                return self._missing(part, self._findings.lacking[part])
+            if part in self._lacking:
+                return self._missing(part, self._lacking[part])
         return None
 
     def _missing(self, part: OptionalPart | None, why: str) -> tuple[CaseOutcome, str]:
-        if part is not None and self._profile is not None and part in self._profile.claims:
+        if part is not None and self._profile is not None and part in self._profile:
             return CaseOutcome.FAIL, f"claimed by the profile ({part.value}), but: {why}"
         return CaseOutcome.UNSUPPORTED, why
 
     def _attempt(self, case: ConformanceCase) -> Attempt:
-        samples, begin_s = self._watch.samples, time.monotonic()
-        outcome, detail = CaseOutcome.PASS, ""
+        periods, begin_s = len(self._watch.late_ms), time.monotonic()
+        outcome, detail, transcript = CaseOutcome.PASS, "", list[Line]()
         try:
-            peer = self._subject.open(self._findings, case.number)
-        except OSError as error:
-            return Attempt(CaseOutcome.FAIL, f"no connection: {error.strerror or error}", 0.0, ())
-        try:
-            try:
+            with closing(self._subject.open(case)) as peer:
+                transcript = peer.transcript
                 case.run(peer)
-            finally:
-                peer.close()
         except Unsupported as reason:
             outcome, detail = self._missing(reason.part, str(reason))
         except Failed as reason:
             outcome, detail = CaseOutcome.FAIL, str(reason)
         except OSError as error:
-            outcome, detail = CaseOutcome.FAIL, f"the socket failed: {error.strerror or error}"
+            outcome, detail = CaseOutcome.FAIL, f"the connection failed: {error.strerror or error}"
         seconds = time.monotonic() - begin_s
-        return Attempt(outcome, detail, seconds, tuple(peer.transcript), self._watch.figures(samples).max_ms)
+        return Attempt(outcome, detail, seconds, tuple(transcript), self._watch.worst_ms(periods))

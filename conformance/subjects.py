@@ -3,12 +3,13 @@
 import threading
 import time
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
+from conformance.case import ConformanceCase
 from conformance.master import Master
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.wire import Failed, NoAnswer, NonceSource
+from conformance.wire import NO_WELCOME, Failed, NoAnswer, NonceSource
 from protocol.authentication import LinkKey
 from protocol.errors import LinkLost
 from protocol.faults import Reason
@@ -17,20 +18,11 @@ from protocol.reference_messages import CAPABILITY_PATHS, CAPABILITY_STREAMING, 
 PERIOD_S = 0.01
 
 
-class LatenessFigures(NamedTuple):
-    """Lateness of a loop of 10 ms beside the cases, in ms; all 0 before its first period."""
-
-    samples: int
-    p50_ms: float
-    p99_ms: float
-    max_ms: float
-
-
 class LatenessWatch:
-    """A thread that waits 10 ms again and again, and notes by how much more it was waiting."""
+    """A thread that waits 10 ms again and again; ``late_ms``: by how much more it was waiting, each time."""
 
     def __init__(self) -> None:
-        self._late_ms: list[float] = []
+        self.late_ms: list[float] = []
         self._began_s = time.monotonic()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -44,33 +36,16 @@ class LatenessWatch:
         self._thread.join()
 
     def _watch(self) -> None:
-        while True:
+        while not self._ending.wait(PERIOD_S):
+            self.late_ms.append(self._late_now_ms())
             self._began_s = time.monotonic()
-            if self._ending.wait(PERIOD_S):
-                return
-            self._late_ms.append(self._late_now_ms())
 
     def _late_now_ms(self) -> float:
         return max(time.monotonic() - self._began_s - PERIOD_S, 0.0) * 1e3
 
-    @property
-    def samples(self) -> int:
-        """How many periods have been noted."""
-        return len(self._late_ms)
-
-    def figures(self, since: int = 0) -> LatenessFigures:
-        """What was noted from sample ``since`` on, with the period that is not over yet."""
-        return figures_of([*self._late_ms[since:], self._late_now_ms()])
-
-
-def figures_of(late_ms: list[float]) -> LatenessFigures:
-    """Median, 99th percentile (nearest rank) and maximum."""
-    if not late_ms:
-        return LatenessFigures(0, 0.0, 0.0, 0.0)
-    ranked = sorted(late_ms)
-    count = len(ranked)
-    p50, p99 = (ranked[-(-count * percent // 100) - 1] for percent in (50, 99))
-    return LatenessFigures(count, round(p50, 3), round(p99, 3), round(ranked[-1], 3))
+    def worst_ms(self, since: int = 0) -> float:
+        """The greatest lateness from period ``since`` on, with the one that is not over yet."""
+        return round(max(*self.late_ms[since:], self._late_now_ms(), 0.0), 3)
 
 
 LOOK_MS = 3000
@@ -84,81 +59,8 @@ _REFUSED = {
 }
 
 
-class Findings(NamedTuple):
-    """What a look has shown: the parts that are ``lacking``, each with the reason.
-
-    ``expired``: the coupler's watchdog has, and this run may not reset it.
-    """
-
-    lacking: dict[OptionalPart, str]
-    expired: bool = False
-
-
-NOTHING_FOUND = Findings({})
-
-
-def look_at_controller(peer: Peer) -> Findings:
-    """Opens a session, leaves it again, and tells which capabilities were not granted.
-
-    Raises LinkLost when nobody listens or answers, another client holds the session, or the keys do not fit.
-    An answer that is wrong in any other way is left to the cases to judge.
-    """
-    where = f"{peer.address[0]}:{peer.address[1]}"
-    offered = sum(_OFFERED.values()) | peer.required
-    try:
-        answer = peer.greeted(Hello(peer.nonce(), offered, 0, 100), LOOK_MS)
-        if isinstance(answer, Welcome):
-            peer.alive("the first heartbeat")
-    except (NoAnswer, ConnectionRefusedError) as error:
-        if peer.welcome is not None:
-            return NOTHING_FOUND
-        raise LinkLost("link.unreachable", f"{where}: nobody listens on this UDP port") from error
-    except Failed:
-        return NOTHING_FOUND
-    except OSError as error:
-        raise LinkLost("link.unreachable", f"{where}: {error.strerror or error}") from error
-    finally:
-        peer.close()
-    if answer is None:
-        hint = " (one that does not know clause 11 drops what is signed)" if peer.link_key else ""
-        raise LinkLost("link.no_answer", f"{where}: HELLO is not answered within {LOOK_MS} ms{hint}")
-    if isinstance(answer, Welcome):
-        granted = answer.capabilities
-        return Findings(
-            {part: f"{part.name} is not granted" for part, bit in _OFFERED.items() if not granted & bit}
-        )
-    if answer in _REFUSED:
-        cause, why = _REFUSED[answer]
-        raise LinkLost(cause, f"{where}: {why}")
-    return NOTHING_FOUND
-
-
-def look_at_coupler(host: str, port: int, unit: int, *, outputs: bool) -> Findings:
-    """Reads the status, and with ``outputs`` resets a watchdog that was left expired.
-
-    Raises LinkLost when nobody accepts the connection or answers, or, with ``outputs``, when another master
-    owns them. A wrong answer is left to the cases to judge.
-    """
-    where = f"{host}:{port}"
-    try:
-        master = Master(host, port, unit, outputs=outputs)
-    except OSError as error:
-        raise LinkLost("link.unreachable", f"{where}: no connection: {error.strerror or error}") from error
-    try:
-        if outputs:
-            _free(master, where)
-            if master.expired:
-                master.reset()
-            return NOTHING_FOUND
-        return Findings({}, master.expired)
-    except NoAnswer as error:
-        raise LinkLost("link.no_answer", f"{where}: connected, but {error}") from error
-    except OSError as error:
-        raise LinkLost("link.unreachable", f"{where}: {error.strerror or error}") from error
-    except Failed:
-        return NOTHING_FOUND
-    finally:
-        master.hang_up()
+Lacking = Mapping[OptionalPart, str]
+"""The optional parts that a look has found lacking, each with the reason."""
 
 
 def _free(master: Master, where: str) -> None:
@@ -169,38 +71,6 @@ def _free(master: Master, where: str) -> None:
             why = "another master owns the outputs: stop it, or leave --outputs out"
             raise LinkLost("link.session_occupied", f"{where}: {why}")
         time.sleep(_PAUSE_S)
-
-
-class Subject(Protocol):
-    """A peer under test. ``withheld``: parts that this run may not ask for, each with the reason."""
-
-    @property
-    def suite(self) -> str:
-        """The name of its suite."""
-        ...
-
-    @property
-    def host(self) -> str:
-        """Where it is."""
-        ...
-
-    @property
-    def port(self) -> int:
-        """Its port."""
-        ...
-
-    @property
-    def withheld(self) -> Mapping[OptionalPart, str]:
-        """Parts that this run may not ask for."""
-        ...
-
-    def look(self) -> Findings:
-        """What a look at it shows; raises LinkLost."""
-        ...
-
-    def open(self, findings: Findings, number: int) -> Peer | Master:
-        """A fresh tester's end for the case ``number``; raises OSError."""
-        ...
 
 
 class ControllerSubject(NamedTuple):
@@ -214,25 +84,52 @@ class ControllerSubject(NamedTuple):
     suite: str = "reference link"
 
     @property
-    def withheld(self) -> Mapping[OptionalPart, str]:
+    def withheld(self) -> Lacking:
         """Parts that this run may not ask for."""
-        withheld = {}
-        if not self.motion:
-            withheld[OptionalPart.MOTION] = "moves the arm: not allowed in this run"
+        withheld = {} if self.motion else {OptionalPart.MOTION: "moves the arm: not allowed in this run"}
         if self.key is None:
-            withheld[OptionalPart.AUTHENTICATION] = "no key was given: --key"
-        else:
-            withheld[OptionalPart.KEY_REFUSAL] = "asked of controllers without a key"
-        return withheld
+            return withheld | {OptionalPart.AUTHENTICATION: "no key was given: --key"}
+        return withheld | {OptionalPart.KEY_REFUSAL: "asked of controllers without a key"}
 
-    def look(self) -> Findings:
-        """What a look at it shows; raises LinkLost."""
-        return look_at_controller(self._peer())
+    def look(self) -> Lacking:
+        """Open a session, leave it again, and tell which capabilities were not granted.
 
-    def open(self, findings: Findings, number: int) -> Peer:
+        Raises LinkLost when nobody listens or answers, another client holds the session, or the keys do not
+        fit. An answer that is wrong in any other way is left to the cases to judge.
+        """
+        where, peer = f"{self.host}:{self.port}", self._peer()
+        offered = sum(_OFFERED.values()) | peer.required
+        try:
+            answer = peer.greeted(Hello(peer.nonce(), offered, 0, 100), LOOK_MS)
+            if isinstance(answer, Welcome):
+                peer.alive("the first heartbeat")
+        except (NoAnswer, ConnectionRefusedError) as error:
+            if peer.welcome is not NO_WELCOME:
+                return {}
+            raise LinkLost("link.unreachable", f"{where}: nobody listens on this UDP port") from error
+        except Failed:
+            return {}
+        except OSError as error:
+            raise LinkLost("link.unreachable", f"{where}: {error.strerror or error}") from error
+        finally:
+            peer.close()
+        if answer is None:
+            hint = " (one that does not know clause 11 drops what is signed)" if self.key else ""
+            raise LinkLost("link.no_answer", f"{where}: HELLO is not answered within {LOOK_MS} ms{hint}")
+        if isinstance(answer, Reason):
+            if answer in _REFUSED:
+                cause, why = _REFUSED[answer]
+                raise LinkLost(cause, f"{where}: {why}")
+            return {}
+        granted = answer.capabilities
+        return {part: f"{part.name} is not granted" for part, bit in _OFFERED.items() if not granted & bit}
+
+    def open(self, case: ConformanceCase) -> Peer:
         """A peer from a port of its own."""
-        self.nonces.noted.case = number
-        return self._peer()
+        self.nonces.noted.case = case.number
+        peer = self._peer()
+        peer.moves = case.motion
+        return peer
 
     def _peer(self) -> Peer:
         return Peer(self.host, self.port, self.nonces, self.key)
@@ -248,14 +145,43 @@ class CouplerSubject(NamedTuple):
     suite: str = "coupler"
 
     @property
-    def withheld(self) -> Mapping[OptionalPart, str]:
+    def withheld(self) -> Lacking:
         """Parts that this run may not ask for."""
         return {} if self.outputs else {OptionalPart.OUTPUTS: "writes outputs: not allowed in this run"}
 
-    def look(self) -> Findings:
-        """What a look at it shows; raises LinkLost."""
-        return look_at_coupler(self.host, self.port, self.unit, outputs=self.outputs)
+    def look(self) -> Lacking:
+        """Read the status, and with ``outputs`` reset a watchdog that was left expired.
 
-    def open(self, findings: Findings, number: int) -> Master:
+        Raises LinkLost when nobody accepts the connection or answers, with ``outputs`` when another master
+        owns them, and without when its watchdog has expired. A wrong answer is left to the cases to judge.
+        """
+        where = f"{self.host}:{self.port}"
+        try:
+            master = self.open()
+        except OSError as error:
+            why = f"{where}: no connection: {error.strerror or error}"
+            raise LinkLost("link.unreachable", why) from error
+        try:
+            if self.outputs:
+                _free(master, where)
+            if master.expired and not self.outputs:
+                why = "its watchdog has expired, and a reset needs --outputs"
+                raise LinkLost("link.watchdog_expired", f"{where}: {why}")
+            if master.expired:
+                master.reset()
+        except NoAnswer as error:
+            raise LinkLost("link.no_answer", f"{where}: connected, but {error}") from error
+        except OSError as error:
+            raise LinkLost("link.unreachable", f"{where}: {error.strerror or error}") from error
+        except Failed:
+            pass
+        finally:
+            master.hang_up()
+        return {}
+
+    def open(self, _case: ConformanceCase | None = None) -> Master:
         """A connection of its own."""
-        return Master(self.host, self.port, self.unit, outputs=self.outputs, left_expired=findings.expired)
+        return Master(self.host, self.port, self.unit, outputs=self.outputs)
+
+
+Subject = ControllerSubject | CouplerSubject

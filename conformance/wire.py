@@ -4,7 +4,8 @@ import select
 import socket
 import struct
 import time
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, TypeVar
 from zlib import crc32
 
 from conformance.noted import ENDINGS, Noted, went_on
@@ -20,8 +21,16 @@ from protocol.datagram_layout import (
     TRAILER_BYTES,
 )
 from protocol.errors import DatagramRefused
-from protocol.faults import Reason
-from protocol.reference_messages import CAPABILITY_AUTHENTICATION, Bye, Heartbeat, Message, State, Welcome
+from protocol.faults import CommandCode, Reason
+from protocol.reference_messages import (
+    CAPABILITY_AUTHENTICATION,
+    Bye,
+    Command,
+    Heartbeat,
+    Message,
+    State,
+    Welcome,
+)
 
 LENGTH = 10
 _AFTER_CRC = CRC_OFFSET + CRC_BYTES
@@ -66,6 +75,7 @@ _SESSION = slice(16, 24)
 _HELD = 64
 
 M = TypeVar("M", bound=Message)
+K = TypeVar("K")
 
 
 class Failed(Exception):
@@ -98,6 +108,13 @@ def require(condition: bool, why: str) -> None:
         raise Failed(why)
 
 
+def known(value: K | None, why: str) -> K:
+    """``value``; raises Failed with ``why`` where there is none."""
+    if value is None:
+        raise Failed(why)
+    return value
+
+
 class NonceSource:
     """Nonces and command ids that rise through a whole run, from a random start."""
 
@@ -118,6 +135,10 @@ class NonceSource:
         return self._command_id
 
 
+NO_WELCOME = Welcome(0, 0, 0, 0, 0, 0, 0)
+"""Of a wire that no session was opened over."""
+
+
 class Wire:
     """One UDP socket towards the controller under test, and the session that was opened over it.
 
@@ -134,10 +155,11 @@ class Wire:
         self._others: list[socket.socket] = []
         self._begin_ns = time.monotonic_ns()
         self.transcript: list[Line] = []
+        self.moves = False
         self.session = 0
         self.minor = 0
         self.sequence = 0
-        self.welcome: Welcome | None = None
+        self.welcome = NO_WELCOME
         self.passed_over: list[Datagram] = []
         self._heartbeat_ns = 0
         self._unread, self._flooded = 0, False
@@ -152,8 +174,10 @@ class Wire:
         return other
 
     def close(self) -> None:
-        """Ends the session politely and closes the sockets."""
+        """Stops an arm that ``moves``, ends the session politely and closes the sockets."""
         try:
+            if self.session and self.moves:
+                self.send(Command(self.new_id(), CommandCode.STOP))
             if self.session:
                 self.send(Bye(Reason.SHUTDOWN))
         except OSError:
@@ -174,19 +198,22 @@ class Wire:
     @property
     def timeout_ms(self) -> int:
         """The link timeout that the controller announced."""
-        assert self.welcome is not None
         return self.welcome.link_timeout_ms
 
     @property
     def grace_ms(self) -> float:
         """How long a decision of the controller may take: three scans, and what a busy machine adds."""
-        assert self.welcome is not None
         return max(3 * self.welcome.cycle_ns / MS, 20.0) + 20.0
 
     @property
     def sequences(self) -> int:
         """The modulus of sequence numbers."""
         return SEQUENCES if self.link_key is None else _EXTENDED_SEQUENCES
+
+    @property
+    def hello_key(self) -> DirectionKey | None:
+        """What HELLO is signed with."""
+        return None if self.link_key is None else self.link_key.of_hello()
 
     @property
     def required(self) -> int:
@@ -227,9 +254,7 @@ class Wire:
 
     def signs(self, session: int) -> DirectionKey | None:
         """What the datagrams of a session are signed with; HELLO's key where there is none."""
-        if self.link_key is None:
-            return None
-        return self._keys[session].sends if session in self._keys else self.link_key.of_hello()
+        return self._keys[session].sends if session in self._keys else self.hello_key
 
     def keys_of(self, session: int) -> ChannelKeys:
         """The keys of a session that this wire has opened."""
@@ -321,36 +346,50 @@ class Wire:
         fault = fault_of(data, header.flags, key)
         require(fault is None, f"{type(message).__name__} came that a client must refuse: {fault}")
 
-    def collect(self, wait_ms: float, *, beating: bool = True) -> list[Datagram]:
-        """Everything that comes within ``wait_ms``."""
+    def arriving(self, wait_ms: float, *, beating: bool = True) -> Iterator[Datagram]:
+        """Each datagram that comes within ``wait_ms``, as it comes."""
         until_ns = self.now_ns + int(wait_ms * MS)
-        found = []
         while (left_ns := until_ns - self.now_ns) > 0:
             datagram = self.receive(left_ns / MS, beating=beating)
             if datagram is not None:
-                found.append(datagram)
-        return found
+                yield datagram
+
+    def collect(self, wait_ms: float, *, beating: bool = True) -> list[Datagram]:
+        """Everything that comes within ``wait_ms``."""
+        return list(self.arriving(wait_ms, beating=beating))
+
+    def require_came(
+        self, wanted: list[Message], wait_ms: float, why: str, *, of: Any = object, but: Any = (),
+        beating: bool = False,
+    ) -> None:  # fmt: skip
+        """Require that these messages come within ``wait_ms``: of the kinds ``of``, none of ``but``."""
+        got = [d.message for d in self.collect(wait_ms, beating=beating)]
+        got = [message for message in got if isinstance(message, of) and not isinstance(message, but)]
+        require(got == wanted, f"{why}: came {got}, wanted {wanted}")
 
     def drain(self) -> None:
         """Forgets what has come so far."""
         while self.receive(0.0, beating=False) is not None:
             pass
 
-    def expect(self, kind: type[M], why: str, wait_ms: float = ANSWER_MS, *, beating: bool = True) -> M:
-        """The next message of ``kind`` within ``wait_ms``; others go to ``passed_over``. Raises Failed."""
-        until_ns = self.now_ns + int(wait_ms * MS)
-        while (left_ns := until_ns - self.now_ns) > 0:
-            datagram = self.receive(left_ns / MS, beating=beating)
-            if datagram is not None and isinstance(datagram.message, kind):
-                return datagram.message
-            if datagram is not None:
+    def expect(self, kind: type[M], why: str, wait_ms: float = ANSWER_MS, *, beating: bool = True,
+               wanted: Callable[[M], bool] = lambda message: True) -> M:  # fmt: skip
+        """The next ``wanted`` message of ``kind`` within ``wait_ms``; raises Failed.
+
+        Messages of other kinds go to ``passed_over``.
+        """
+        for datagram in self.arriving(wait_ms, beating=beating):
+            if not isinstance(datagram.message, kind):
                 self.passed_over.append(datagram)
+            elif wanted(datagram.message):
+                return datagram.message
         raise Failed(f"{why}: no {kind.__name__} within {wait_ms:g} ms")
 
     def expect_bye(self, reason: Reason, why: str, wait_ms: float = ANSWER_MS) -> None:
         """A BYE with ``reason``; raises Failed."""
         got = self.expect(Bye, why, wait_ms, beating=False).reason
         require(got is reason, f"{why}: BYE {got.name}, wanted {reason.name}")
+        self.session = 0 if got is Reason.LINK_TIMEOUT else self.session
 
     def _note(self, direction: str, data: bytes) -> None:
         self.transcript.append(Line((time.monotonic_ns() - self._begin_ns) / MS, direction, data))

@@ -25,6 +25,7 @@ PROGRAM = ServiceProgram(
     records="the last scans after a fault",
     make=_make_service,
     live="controller",
+    follows="controller",
 )
 
 

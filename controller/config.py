@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel, or_its_file
+from foundation.configuration import Host, StrictModel, or_its_file
 from foundation.live import LiveSettings
 from foundation.secret_source import SecretSource
 from nominal_arm.commissioned import Commissioned, ValveSet
@@ -71,11 +71,8 @@ class ParkingConfig(StrictModel):
     enabled: bool | Literal["auto"]
     band_mm: float = Field(gt=0.0, le=20.0)
     loaded: tuple[bool, bool, bool, bool, bool, bool]
-    calm_mm: float = Field(gt=0.0, le=20.0)
-    calm_ms: float = Field(gt=0.0, le=60_000.0)
     stays_ms: float = Field(gt=0.0, le=600_000.0)
     oil_mrad_bar: tuple[OilSpring, OilSpring, OilSpring, OilSpring, OilSpring, OilSpring]
-    alarm_mm: float = Field(gt=0.0, le=100.0)
 
 
 class MotionConfig(StrictModel):
@@ -145,21 +142,12 @@ class SupervisionConfig(StrictModel):
 
 
 class ExcitationConfig(StrictModel):
-    """What the valves are tried out with in the start-up mode ``enabled``, joint by joint in this order.
-
-    ``search_rate_1_s``: of the spool, a share of the full one a second. ``moved_mrad`` counts as motion.
-    """
+    """What the valves are tried out with in the start-up mode ``enabled``, joint by joint in this order."""
 
     enabled: bool
     joints: tuple[Annotated[int, Field(ge=0, le=5)], ...] = Field(min_length=1, max_length=6)
     ramps: int = Field(ge=2, le=10)
-    search_rate_1_s: float = Field(gt=0.0, le=0.1)
     spool_max: float = Field(gt=0.0, le=0.5)
-    moved_mrad: float = Field(ge=0.2, le=10.0)
-    rest_ms: float = Field(ge=100.0, le=10_000.0)
-    patience_s: float = Field(ge=1.0, le=120.0)
-    step_s: float = Field(ge=0.5, le=10.0)
-    stroke_s: float = Field(ge=5.0, le=120.0)
     pressure_bar: float = Field(gt=0.0, le=655.0)
 
     @model_validator(mode="after")
@@ -172,7 +160,7 @@ class ExcitationConfig(StrictModel):
 class PlantLinkConfig(StrictModel):
     """Where the plant's Modbus TCP face is, and how long one exchange may take."""
 
-    host: str = Field(min_length=1)
+    host: Host
     port: int = Field(ge=1, le=65535)
     unit_id: int = Field(ge=0, le=247)
     timeout_ms: float = Field(ge=1.0, le=1000.0)
@@ -185,7 +173,7 @@ class ReferenceLinkConfig(StrictModel):
     ``link_key``: where the shared key is; with a key, only authenticated sessions are granted.
     """
 
-    host: str = Field(min_length=1)
+    host: Host
     port: int = Field(ge=0, le=65535)
     link_timeout_ms: int = Field(ge=20, le=60_000)
     link_key: SecretSource = SecretSource()
@@ -197,7 +185,7 @@ class AdsConfig(StrictModel):
     ``writable``: whoever connects may also change numbers. ADS has no authentication.
     """
 
-    host: str = Field(default="127.0.0.1", min_length=1)
+    host: Host = "127.0.0.1"
     port: int = Field(default=0, ge=0, le=65535)
     writable: bool = False
 

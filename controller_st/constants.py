@@ -15,7 +15,9 @@ import numpy as np
 from controller.config import ControllerConfig
 from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.kinematics.inverse_kinematics import geometry
+from controller.core.servo.settling import ERROR_FILTER_S, STILL
 from controller.core.settings import ScanSettings, settings_from
+from controller.core.standing import MOVED
 from foundation.configuration import configuration_hash
 from nominal_arm.description import NominalArm
 from protocol.axes_group import GROUP_STATE, Mode
@@ -38,7 +40,7 @@ MODES = {
 _SEAL = "(* CRC of all above: "
 _HEAD = """\
 (* Longreach: what configs/arm.yaml, configs/controller.yaml and the tables of docs/protocol.md say.
-   Made from them: python -m tools.plc_constants *)
+   Made from them: python -m tools.pages *)
 """
 
 
@@ -139,7 +141,11 @@ def _arm(settings: ScanSettings) -> Iterable[str]:
     for name in ("feed_forward", "high_pass", "limit"):
         yield _number(f"LR_SERVO_{name.upper()}", getattr(joints, name))
     yield from _all("POSE", servo.gains)
+    yield _number("LR_SETTLED_DEAD_ZONE", servo.dead_zone)
     yield _number("LR_SETTLED_TOLERANCE", servo.tolerance)
+    yield _number("LR_SETTLED_STILL", STILL * servo.tolerance)
+    yield _number("LR_SETTLED_MOVED", MOVED * servo.tolerance)
+    yield _number("LR_SETTLED_FILTER", ERROR_FILTER_S)
     yield _number("LR_SETTLED_TIME", settings.settled.time)
 
 

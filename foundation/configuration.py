@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -15,10 +15,12 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     ValidationError,
     ValidationInfo,
 )
 
+from foundation.numbers_as_written import StrictLoader, with_strict_numbers
 from protocol.errors import ConfigurationError
 
 _CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
@@ -28,34 +30,36 @@ _CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
 BASE_FILE = "base.yaml"
 _MOST_LAYERS = 8
 _MOST_LEVELS = 64  # of YAML
+_SHOWN = 80  # characters of a value that is refused
+_KEYED = ("model_type", "model_attributes_type", "dict_type")
+_WANTS_KEYS = "keys with values are wanted"
 
 
 class StrictModel(BaseModel):
-    """Base of every configuration model: unknown keys, NaN and infinity are refused, instances are frozen."""
+    """Base of all configurations, bodies and orders: unknown keys, NaN, infinity and what is no number where
+    one is wanted are refused, instances are frozen.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Pydantic's own, with numbers that are read as ``with_strict_numbers`` says."""
+        return with_strict_numbers(handler(source))
 
 
 HostName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]([A-Za-z0-9._-]*[A-Za-z0-9_])?$", max_length=253)]
 """A DNS name or an IPv4 address, without scheme, port and wildcard."""
 
 
-class _UniqueKeyLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
-    """Safe YAML, but a key that is written twice is an error instead of a silent override."""
+def _alone(host: str) -> str:
+    if not host or set(host) & set(" \t/[]") or host.count(":") == 1:
+        raise ValueError("a name or an address alone is wanted: no scheme, port or brackets")
+    return host
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
-        for written, _ in node.value:
-            key = self.construct_object(written, deep=True)
-            if not isinstance(key, Hashable):
-                break  # the parser refuses it
-            if key in seen:
-                where = f"line {node.start_mark.line + 1}"
-                raise ConfigurationError(
-                    "configuration.duplicate_key", f"{where}: key '{key}' is written twice"
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep)
+
+Host = Annotated[str, AfterValidator(_alone)]
+"""A name or an address to listen on or to connect to."""
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -82,13 +86,12 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
     """
     data = parse_yaml(text, where)
     if not isinstance(data, dict):
-        raise ConfigurationError(
-            "configuration.not_a_mapping", f"{where}: a mapping is wanted, got {type(data).__name__}"
-        )
+        found = "nothing is written" if data is None else f"not {data!r}"[:_SHOWN]
+        raise ConfigurationError("configuration.not_a_mapping", f"{where}: {_WANTS_KEYS}, {found}")
     return data
 
 
-def parse_yaml(text: str, where: str, loader: type = _UniqueKeyLoader) -> Any:
+def parse_yaml(text: str, where: str, loader: type[StrictLoader] = StrictLoader) -> Any:
     """What YAML ``text`` holds; ``where`` names its origin. Raises ConfigurationError, also for a value that
     no type of Python takes (a 13th month), and for more than 64 levels, which would break the parser itself.
     """
@@ -100,9 +103,8 @@ def parse_yaml(text: str, where: str, loader: type = _UniqueKeyLoader) -> Any:
                 raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels: {event.start_mark}")
         return yaml.load(text, Loader=loader)
     except (yaml.YAMLError, ValueError) as error:
-        raise ConfigurationError(
-            "configuration.not_yaml", f"{where}: {' '.join(str(error).split())}"
-        ) from error
+        why = " ".join(str(error).replace(' in "<unicode string>",', " at").split())
+        raise ConfigurationError("configuration.not_yaml", f"{where}: {why}") from error
     except ConfigurationError as error:
         raise ConfigurationError(error.cause, f"{where}: {error}") from error
 
@@ -175,15 +177,27 @@ def validated(
         return model.model_validate(data, context={"directory": directory or Path()})
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
-        # A key written where only its place may be named must not reach a log on top of it.
-        hidden = first["type"] == "missing" or "link_key" in first["loc"] or not first["loc"]
-        value = "" if hidden else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = _CAUSES.get(first["type"], first["type"])
-        said = first["msg"].removeprefix("Value error, ")
-        why = said if cause != "unknown_key" else _like(model, first["loc"])
-        raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {why}{more}") from error
+        why = _like(model, first["loc"]) if cause == "unknown_key" else None
+        raise ConfigurationError(
+            f"configuration.{cause}", f"{where}: {fault_words(first, why)}{more}"
+        ) from error
+
+
+def fault_words(fault: Mapping[str, Any], why: str | None = None) -> str:
+    """``key = value: why`` of one of pydantic's errors, in its words unless ``why`` has better ones.
+
+    A value that is missing or has keys of its own is not shown.
+    """
+    key = ".".join(map(str, fault["loc"])) or "(whole file)"
+    # A key written where only its place may be named must not reach a log on top of it.
+    hidden = fault["type"] == "missing" or "link_key" in fault["loc"] or isinstance(fault["input"], Mapping)
+    value = "" if hidden else f" = {fault['input']!r}"[:_SHOWN]
+    if fault["type"] in _KEYED and why is None:
+        not_json = isinstance(fault["input"], bytes)
+        why = f"{_WANTS_KEYS}, with the header Content-Type: application/json" if not_json else _WANTS_KEYS
+    return f"{key}{value}: {why or fault['msg'].removeprefix('Value error, ')}"
 
 
 def _like(model: Any, loc: tuple[int | str, ...]) -> str:

@@ -1,9 +1,9 @@
 """The event log of every process: JSON lines of one schema, on stderr and, where asked for, in a file.
 
 docs/event_log.md is the written schema. Each line is one object: ``service``, ``event``, ``level``,
-``time_ns`` (CLOCK_MONOTONIC), ``utc``, then the event's own fields. A thread of its own writes stderr: a
-reader that hangs loses lines, which are counted, and holds up nothing. What may come again and again goes
-through ``write_repeated``.
+``time_ns`` (CLOCK_MONOTONIC, or the plant's clock), ``utc``, then the event's own fields. A thread of its own
+writes stderr: a reader that hangs loses lines, which are counted, and holds up nothing. What may come again
+and again goes through ``write_repeated``.
 """
 
 import contextlib
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TextIO, TypeVar
 
+from foundation import clock
 from foundation.recording.beginning import recording_directory
 from protocol.errors import ConfigurationError, LongreachError
 
@@ -198,7 +199,7 @@ class EventLog:
 
     def _line(self, occurrence: _Occurrence) -> str:
         event, level, time_ns, fields = occurrence
-        past_s = (time.monotonic_ns() - time_ns) * 1e-9
+        past_s = (clock.now_ns() - time_ns) * 1e-9
         utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - past_s))
         members = (self.service, event, level, time_ns, utc)
         return json.dumps(dict(zip(MEMBERS, members, strict=True)) | fields, default=str)
@@ -212,10 +213,10 @@ class EventLog:
     def _write_lines(self) -> None:
         look_ns = 0
         while True:
-            now_ns = time.monotonic_ns()
+            now_ns = clock.now_ns()
             if now_ns >= look_ns:
                 look_ns = now_ns + _LOOK_NS
-                self._tell(lambda: self._repeated.due(time.monotonic_ns()))
+                self._tell(lambda: self._repeated.due(clock.now_ns()))
             try:
                 line = self._lines.get(timeout=1e-9 * _LOOK_NS)
             except queue.Empty:
@@ -234,7 +235,7 @@ class EventLog:
 def _occurrence(event: str, level: Level, fields: dict[str, Any]) -> _Occurrence:
     if taken := _EVERY_LINES.intersection(fields):
         raise ValueError(f"event {event}: {', '.join(sorted(taken))} belongs to every line")
-    return _Occurrence(event, level, time.monotonic_ns(), fields)
+    return _Occurrence(event, level, clock.now_ns(), fields)
 
 
 def _standing_for(last: _Occurrence, count: int) -> _Occurrence:

@@ -1,8 +1,7 @@
-"""What became of the services themselves: crashes, and real time that was not to be had.
+"""What became of the services themselves: their crashes.
 
-One file of JSON lines that all services of a testbed share. Whoever starts services anew notes their crashes
-in it, each service what it lacks; the vision PC shows it. Nobody depends on it: a file that cannot be written
-or read costs the notes alone.
+One file of JSON lines. Whoever starts services anew notes their crashes in it; the vision PC shows it. Nobody
+depends on it: a file that cannot be written or read costs the notes alone.
 """
 
 import contextlib
@@ -36,13 +35,6 @@ def note_incident(service: str, cause: str, detail: str, path: Path | None = Non
         with contextlib.suppress(OSError), Path(named).open("a", encoding="utf-8") as file:
             file.write(json.dumps(incident._asdict()) + "\n")
     return incident
-
-
-def note_scheduling(service: str, priority: int, obtained: str) -> None:
-    """Note that a service asked for the real-time class by its ``priority`` and has not obtained it."""
-    if priority > 0 and obtained != "fifo":
-        detail = f"{service} has no real-time class ({obtained}): expect late cycles while other work runs"
-        note_incident(service, "machine.no_real_time", detail)
 
 
 class IncidentFile:

@@ -1,125 +1,39 @@
-"""Periodic work: timer, scheduling class, how long each cycle took, and whether the machine keeps up."""
+"""Periodic work: timer, scheduling class, and how long each cycle took."""
 
 import asyncio
 import contextlib
 import ctypes
 import os
-import platform
 import struct
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Literal
 
 import numpy as np
 
-Policy = Literal["idle", "batch", "normal"]
-_POLICIES: dict[Policy, int] = {
-    "idle": os.SCHED_IDLE,
-    "batch": os.SCHED_BATCH,
-    "normal": os.SCHED_OTHER,
-}
-
-
-# struct sched_attr of sched_setattr(2): size, policy, flags, nice, priority, runtime, deadline, period.
-_ATTRIBUTES = struct.Struct("=IIQiIQQQ")
-_SET_AND_GET_ATTRIBUTES = {"x86_64": (314, 315), "aarch64": (274, 275)}  # numbers of the system calls
-_SHORT_SLICE_NS = 100_000  # the shortest that the kernel takes
-
 
 def take_fifo(priority: int) -> str:
-    """Ask for the real-time class for this process; return what was obtained: ``fifo``, or what is next best.
+    """Ask for the real-time class for this process; return what was obtained: ``fifo`` or ``normal``.
 
-    ``priority``: 1 to 99; 0 does not ask. The next best needs no privilege: ``short_slice`` where the kernel
-    has it (Linux 6.12), else ``normal``.
+    ``priority``: 1 to 99; 0 does not ask.
     """
     if priority > 0:
         with contextlib.suppress(PermissionError):
             parameters = os.sched_param(priority)
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, parameters)
             return "fifo"
-    return "short_slice" if _take_short_slice() else "normal"
+    return "normal"
 
 
-def _take_short_slice() -> bool:
-    """Ask for short turns: who is content with these is served sooner when it wakes (EEVDF's deadline).
+def take_policy(policy: Literal["batch"]) -> str:
+    """Have the calling thread interrupt nobody when it wakes; return ``policy``, or ``normal`` if refused.
 
-    An older kernel takes the call and ignores it, so what is in force is read back.
-    """
-    numbers = _SET_AND_GET_ATTRIBUTES.get(platform.machine())
-    system_call = getattr(ctypes.CDLL(None), "syscall", None)
-    if numbers is None or system_call is None or os.sched_getscheduler(0) != os.SCHED_OTHER:
-        return False
-    set_attributes, get_attributes = numbers
-    nice = os.getpriority(os.PRIO_PROCESS, 0)
-    asked = _ATTRIBUTES.pack(_ATTRIBUTES.size, os.SCHED_OTHER, 0, nice, 0, _SHORT_SLICE_NS, 0, 0)
-    found = ctypes.create_string_buffer(_ATTRIBUTES.size)
-    if system_call(set_attributes, 0, asked, 0) or system_call(get_attributes, 0, found, len(found), 0):
-        return False
-    return bool(_ATTRIBUTES.unpack(found.raw)[5] == _SHORT_SLICE_NS)
-
-
-def take_policy(policy: Policy) -> str:
-    """Ask for an ordinary class for the calling thread; return ``policy`` where granted, else ``normal``.
-
-    It needs no privilege. ``batch`` interrupts nobody when it wakes; ``idle`` has what all others leave.
+    It needs no privilege.
     """
     try:
-        os.sched_setscheduler(0, _POLICIES[policy], os.sched_param(0))
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     except OSError:
         return "normal"
     return policy
-
-
-WINDOW_NS = 5_000_000_000
-_FEWEST = 10  # of which a share says something
-
-
-class Tally(NamedTuple):
-    """What is done again and again, counted since the start: so many times done, so many missed or late."""
-
-    done: int
-    missed: int
-
-
-class Limit(NamedTuple):
-    """The share (percent) that may be missed, and the words for it: "of the controller's scans were late"."""
-
-    percent: float
-    words: str
-
-
-class OverloadWatch:
-    """Compares shares within the last five seconds with ``limits`` (by name).
-
-    ``warning``: one sentence with the worst figure while the machine is overloaded, else empty.
-    """
-
-    def __init__(self, limits: Mapping[str, Limit]) -> None:
-        self._limits = limits
-        self._past: deque[tuple[int, Mapping[str, Tally]]] = deque()
-        self.warning = ""
-
-    def update(self, now_ns: int, counts: Mapping[str, Tally]) -> str:
-        """``warning`` after ``counts`` of ``now_ns``. Names without a limit are left aside."""
-        self._past.append((now_ns, counts))
-        while len(self._past) > 2 and self._past[1][0] <= now_ns - WINDOW_NS:
-            self._past.popleft()
-        began_ns, before = self._past[0]
-        worst, self.warning = 1.0, ""
-        for name, limit in self._limits.items():
-            if name not in counts or name not in before:
-                continue
-            missed = counts[name].missed - before[name].missed
-            of = counts[name].done - before[name].done + missed
-            if of < _FEWEST or missed < 0:  # too few, or counted anew by another process
-                continue
-            percent = 100.0 * missed / of
-            if percent > limit.percent * worst:
-                worst = percent / limit.percent
-                seconds = (now_ns - began_ns) / 1e9
-                share = f"{percent:.1f} % {limit.words} in the last {seconds:.0f} s"
-                self.warning = f"the machine is overloaded: {share}"
-        return self.warning
 
 
 _BINS = 50_000  # one a microsecond; what is longer is counted in the last and known by its maximum

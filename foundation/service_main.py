@@ -8,80 +8,18 @@ import importlib.metadata
 import json
 import os
 import signal
-import socket
 import sys
-from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import uvloop
 
+from foundation import clock
 from foundation.command_options import usual_configs
 from foundation.configuration import merged, parse_overrides
 from foundation.event_log import EventLog, process_log
 from protocol.errors import LongreachError
-
-SOCKET, LONGEST_SILENCE = "NOTIFY_SOCKET", "WATCHDOG_USEC"
-_PERIOD_S = 0.5
-_ALIVE = b"WATCHDOG=1"
-
-
-@asynccontextmanager
-async def signs_of_life(environment: Mapping[str, str] = os.environ) -> AsyncIterator[None]:
-    """Give signs of life from the running loop within the block, if somebody asked for them."""
-    address = environment.get(SOCKET)
-    if not address:
-        yield
-        return
-    task = asyncio.get_running_loop().create_task(_keep_telling(address, _period_s(environment)))
-    try:
-        yield
-    finally:
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
-
-
-async def _keep_telling(address: str, period_s: float) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as teller:
-        while True:
-            with suppress(OSError):  # who asked may have gone, or be slow: that is no trouble of the service
-                teller.sendto(_ALIVE, "\0" + address[1:] if address.startswith("@") else address)
-            await asyncio.sleep(period_s)
-
-
-def _period_s(environment: Mapping[str, str]) -> float:
-    """Half of the longest silence, as systemd recommends."""
-    longest_us = environment.get(LONGEST_SILENCE, "")
-    return 0.5e-6 * int(longest_us) if longest_us.isdigit() and int(longest_us) else _PERIOD_S
-
-
-class Listener:
-    """The other side: the socket of one service. Silence is counted from when it was made."""
-
-    def __init__(self, name: str, now_ns: int) -> None:
-        """``name``: of an abstract socket: no file is left behind. Raises OSError when it is taken."""
-        self.address = f"@{name}"
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        self._socket.bind("\0" + name)
-        self._heard_ns = now_ns
-
-    def silence_ns(self, now_ns: int) -> int:
-        """How long nothing has come."""
-        with suppress(OSError):  # nothing there, or closed
-            while self._socket.recv(64):
-                self._heard_ns = now_ns
-        return now_ns - self._heard_ns
-
-    def count_from(self, now_ns: int) -> None:
-        """Count silence from now on: what was before is no stall."""
-        self._heard_ns = now_ns
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
 
 RECORDS = "LONGREACH_RECORDS"
 """The environment's variable for a directory in which every service records, each in one of its own."""
@@ -97,7 +35,6 @@ class ServiceOptions(NamedTuple):
     config_dir: Path
     overrides: dict[str, dict[str, Any]]
     record_dir: Path | None
-    statistics: Path | None
 
 
 class RunnableService(Protocol):
@@ -120,7 +57,8 @@ class ServiceProgram(NamedTuple):
     """What ``python -m name`` is. ``make`` raises LongreachError for what cannot be started.
 
     ``files``: the configuration files that it reads; ``records``: what it writes in ``--record-dir``;
-    ``live``: the file whose key ``live`` says where it shows itself.
+    ``live``: the file whose key ``live`` says where it shows itself; ``follows``: the part as which
+    it follows the plant's clock, if the environment names one.
     """
 
     name: str
@@ -131,6 +69,7 @@ class ServiceProgram(NamedTuple):
     make: Callable[[ServiceOptions, EventLog], RunnableService]
     switches: tuple[Switch, ...] = ()
     live: str = ""
+    follows: str = ""
 
 
 def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
@@ -142,8 +81,9 @@ def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
     _return_large_blocks()
     try:
         options = _options(program, argv)
-        with process_log(program.name) as log, asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(_serve(program.make(options, log)))
+        made = clock.follow(program.follows) or uvloop.new_event_loop
+        with process_log(program.name) as log, asyncio.Runner(loop_factory=made) as runner:
+            return runner.run(program.make(options, log).run())
     except LongreachError as error:
         print(f"{program.name}: {error.cause}: {error}", file=sys.stderr)
         return _REFUSED
@@ -161,11 +101,6 @@ def _return_large_blocks() -> None:
     if mallopt is not None:  # other C libraries have none
         mallopt(_M_MMAP_THRESHOLD, _LARGE_BLOCK)
         mallopt(_M_ARENA_MAX, _HEAPS)
-
-
-async def _serve(service: RunnableService) -> int:
-    async with signs_of_life():
-        return await service.run()
 
 
 def say_ready(service: str, **fields: Any) -> None:
@@ -217,9 +152,6 @@ def _parser(program: ServiceProgram) -> argparse.ArgumentParser:
         metavar="PORT",
         help=f"show what is recorded to viewers at PORT, and figures at /metrics ({program.live}.live.port)",
     )
-    parser.add_argument(
-        "--statistics", type=Path, metavar="FILE", help="write statistics as JSON every 10 s and at the end"
-    )
     for switch in program.switches:
         parser.add_argument(switch.name, action="store_true", help=switch.help)
     return parser
@@ -236,4 +168,4 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
     for switch in program.switches:
         if getattr(arguments, switch.name.lstrip("-").replace("-", "_")):
             overrides = merged(overrides, switch.overrides)
-    return ServiceOptions(arguments.config_dir, overrides, arguments.record_dir, arguments.statistics)
+    return ServiceOptions(arguments.config_dir, overrides, arguments.record_dir)

@@ -9,8 +9,8 @@ import numpy as np
 from mcap.records import Message
 from numpy.typing import NDArray
 
+from foundation.recording.contents import Contents, contents
 from foundation.recording.decoding import decoder, walk
-from foundation.recording.recovery import Contents, contents
 from protocol.errors import RequestRefused
 
 _PLACE = re.compile(r"(.*)\[(\d+)\]")

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.perception_replay import PerceptionReplay, pixels_for
 from testbed.recordings.recorded_vision import recorded_vision
 
@@ -26,25 +25,14 @@ class Replay(NamedTuple):
 
 
 def replay(file: Path | str, truth: Path | str | None = None) -> Replay:
-    """Vision's perception, where pictures are to be had, and its programs over ``file`` (``vision.mcap``).
+    """Vision's perception over ``file`` (``vision.mcap``).
 
     ``truth``: the plant's recording to render pictures from; None: that of the same run, where ``file`` holds
-    no pictures. Settings are those of the recording; `longreach replay --set` tries others.
+    no pictures. Settings are those of the recording.
     Raises RecordingUnreadable, ConfigurationError, OSError.
     """
-    recording = recorded_vision(Path(file), None)
-    alike: dict[str, int] = {}
-    recorded: dict[str, int] = {}
-    differences, damages = [], 0
-    replays: list[PerceptionReplay | DecisionReplay] = [DecisionReplay(recording)]
-    if recording.pictured:
-        pixels = pixels_for(recording, None if truth is None else Path(truth))
-        replays.insert(0, PerceptionReplay(recording, pixels, lambda *_: None))
-    for each in replays:
-        compared = each.run()
-        recorded |= compared.of
-        alike |= {kind: compared.alike[kind] for kind in compared.of}
-        damages = max(damages, len(each.damages))
-        if compared.first is not None:
-            differences.append(compared.first.in_words())
-    return Replay(alike, recorded, next(iter(differences), ""), damages)
+    recording = recorded_vision(Path(file))
+    made = PerceptionReplay(recording, pixels_for(recording, None if truth is None else Path(truth)))
+    compared = made.run()
+    difference = "" if compared.first is None else compared.first.in_words()
+    return Replay(compared.alike, compared.of, difference, len(made.damages))

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,13 +14,13 @@ from protocol.errors import LongreachError, RequestRefused
 from testbed.demonstration.sequence import Rig
 from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
-from testbed.realtime.rest_rig import RestRig
-from testbed.reporting.console import QuietBar
+from testbed.realtime.rest_rig import RestRig, look_of
+from testbed.reporting.console import Bar
 from testbed.scenarios.arms import arm_directory
 from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from vision_pc.application.program import Program
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.application.results import JudgedLook
+from vision_pc.application.results import JSON, JudgedLook
 
 CONFIGS = usual_configs()  # as the command line's --config-dir
 Assignments = Mapping[str, Any]
@@ -42,7 +42,7 @@ def configured(
 CANCELLED = "refused.cancelled"
 
 
-class _CancelBar(QuietBar):
+class _CancelBar(Bar):
     """A report that ends its program once it is cancelled."""
 
     def __init__(self) -> None:
@@ -57,8 +57,8 @@ class _CancelBar(QuietBar):
 class DrivenRig:
     """What every rig does. Each call returns when it is done, or raises LongreachError with its cause."""
 
-    def __init__(self, rig: Rig) -> None:
-        self._rig = rig
+    def __init__(self, rig: Rig, operate: Callable[[str, JSON, Bar], Any]) -> None:
+        self._rig, self._operate = rig, operate
         self._bar = _CancelBar()
 
     def __enter__(self) -> Self:
@@ -95,13 +95,12 @@ class DrivenRig:
         return look
 
     def run(self, program: str, /, **request: Any) -> Any:
-        """The typed result of a program of the REST API, such as ``look-then-move``, with its members.
+        """The result of a program of the REST API, such as ``look-then-move``, with its members.
 
-        Over REST a program without a type of its own returns the API's JSON. What ends it early stops the
-        arm.
+        In lockstep it is the program's type, over REST the API's JSON. What ends it early stops the arm.
         """
         self._bar.cancelled.clear()
-        return self._rig.operate(program, request, self._bar)
+        return self._operate(program, request, self._bar)
 
     def cancel(self) -> None:
         """End the running program, from another thread: its ``run`` raises ``refused.cancelled``."""
@@ -116,7 +115,7 @@ class SimulatedRig(DrivenRig):
     """Plant, controller and vision in simulated time; the truth is at hand. ``lockstep_rig``: all of it."""
 
     def __init__(self, rig: LockstepRig, world: str, record: Path | None) -> None:
-        super().__init__(rig)
+        super().__init__(rig, rig.operate)
         self.lockstep_rig = rig
         self._world = world
         self._recordings = None if record is None else rig.record_in(record, f"lockstep {world}")
@@ -150,7 +149,7 @@ class ConnectedRig(DrivenRig):
     """A running rig over REST. It has no ``truth``: that is in the plant's recording alone."""
 
     def __init__(self, rig: RestRig, url: str) -> None:
-        super().__init__(rig)
+        super().__init__(rig, rig.result)
         self._rest = rig
         self._url = url
 
@@ -160,6 +159,10 @@ class ConnectedRig(DrivenRig):
     def close(self) -> None:
         """Close the connection; the rig goes on."""
         self._rest.close()
+
+    def look(self) -> JudgedLook:
+        """As ``DrivenRig.look``."""
+        return look_of(self.run("look"))
 
     def run(self, program: str, /, **request: Any) -> Any:
         """As ``DrivenRig.run``; Ctrl-C and a cancelled call stop the arm."""

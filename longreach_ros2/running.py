@@ -27,7 +27,7 @@ from nominal_arm.dimensions import joint_ranges
 from protocol.errors import ConfigurationError
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.config.vision import VisionConfig
-from vision_pc.shell.camera_eyes import MonotonicClock
+from vision_pc.shell.camera_eyes import ProcessClock
 from vision_pc.shell.cameras import CameraSource, open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 
@@ -60,7 +60,7 @@ async def _drive(
     arm: NominalArm, config: VisionConfig, log: EventLog, tf: bool, camera: CameraSource | None
 ) -> None:
     settings = config.link.model_copy(update={"state_period_ms": _STATE_PERIOD_MS})
-    clock, ros_time = MonotonicClock(), RosTime()
+    clock, ros_time = ProcessClock(), RosTime()
     endpoint = UdpEndpoint(settings, settings.expected_arm(arm), log, clock)
     link = endpoint.link
     link.ranges = joint_ranges(arm)

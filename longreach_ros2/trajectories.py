@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BPoly
+from scipy.interpolate import BPoly, PPoly
 
 from longreach_ros2.kinematics import Array
 from nominal_arm.description import JOINT_NAMES, NominalArm
@@ -16,8 +16,9 @@ from protocol.errors import RequestRefused
 MOST_POINTS, LONGEST_S = 10_000, 3600.0
 START_RAD = 0.01  # [D] of where the joints are commanded to be: as far as a first point at time 0 may be off
 AT_REST_RAD_S = 1e-3  # [D] the last point's speed, below which it is rest
-_STEP_S = 0.02  # between samples at which ranges and speeds are checked: the period of the references
+_STEP_S = 0.02  # the period of the references: what a path of a single point takes
 _ROUNDING = 1e-6
+_NOTHING = 1e-12  # [D] of a segment's largest coefficient: what rounding leaves of a cubic among quintics
 _NO_LIMIT = -1.0  # of a JointTolerance
 _JOINTS = len(JOINT_NAMES)
 
@@ -25,12 +26,13 @@ _JOINTS = len(JOINT_NAMES)
 class JointPath:
     """Joint angles over time, from 0 to ``duration_s``; at rest at ``goal`` (6,), rad, from there on.
 
-    ``curve`` is the piecewise polynomial through the points; joints in the order of JOINT_NAMES.
+    ``curve`` is the piecewise polynomial through the points, ``rate`` its derivative; joints in the order of
+    JOINT_NAMES.
     """
 
     def __init__(self, curve: BPoly, duration_s: float) -> None:
-        self._curve = curve
-        self._rate = curve.derivative()
+        self.curve = curve
+        self.rate = curve.derivative()
         self.duration_s = duration_s
         self.goal: Array = np.asarray(curve(duration_s))
 
@@ -38,7 +40,7 @@ class JointPath:
         """Angles (6,), rad, and their rates (6,), rad/s, at ``time_s``."""
         if time_s >= self.duration_s:
             return self.goal, np.zeros(_JOINTS)
-        return np.asarray(self._curve(time_s)), np.asarray(self._rate(time_s))
+        return np.asarray(self.curve(time_s)), np.asarray(self.rate(time_s))
 
 
 class Limits(NamedTuple):
@@ -197,17 +199,40 @@ def _check_start(first: Array, start: Array) -> None:
 
 
 def _check_limits(path: JointPath, limits: Limits) -> None:
-    """Between the points too: a polynomial may swing over them."""
-    count = max(2, math.ceil(path.duration_s / _STEP_S) + 1)
-    for time_s in np.linspace(0.0, path.duration_s, count):
-        q, rate = path.at(float(time_s))
-        below, above = limits.ranges[:, 0] - q, q - limits.ranges[:, 1]
-        joint = int(np.argmax(np.maximum(below, above)))
-        if max(below[joint], above[joint]) > _ROUNDING:
-            end = limits.ranges[joint, 0 if below[joint] > 0.0 else 1]
-            words = f"{JOINT_NAMES[joint]} at {math.degrees(q[joint]):.2f} deg after {time_s:.2f} s"
-            raise refused("joint_limit", f"{words}, limit {math.degrees(end):.2f} deg")
-        joint = int(np.argmax(np.abs(rate) / limits.speeds))
-        if abs(rate[joint]) > limits.speeds[joint] * (1.0 + _ROUNDING):
-            words = f"{JOINT_NAMES[joint]} at {math.degrees(abs(rate[joint])):.2f} deg/s after {time_s:.2f} s"
-            raise refused("too_fast", f"{words}, limit {math.degrees(limits.speeds[joint]):.2f} deg/s")
+    """At each extreme of angles and speeds, not at samples: a polynomial may swing over its points."""
+    below, above = limits.ranges.T
+    found = _outside(path.curve, below - _ROUNDING, above + _ROUNDING)
+    if found is not None:
+        joint, time_s, q = found
+        words = f"{JOINT_NAMES[joint]} at {math.degrees(q):.2f} deg after {time_s:.9g} s"
+        end = limits.ranges[joint, 0 if q < below[joint] else 1]
+        raise refused("joint_limit", f"{words}, limit {math.degrees(end):.2f} deg")
+    most = limits.speeds * (1.0 + _ROUNDING)
+    found = _outside(path.rate, -most, most)
+    if found is not None:
+        joint, time_s, speed = found
+        words = f"{JOINT_NAMES[joint]} at {math.degrees(abs(speed)):.2f} deg/s after {time_s:.9g} s"
+        raise refused("too_fast", f"{words}, limit {math.degrees(limits.speeds[joint]):.2f} deg/s")
+
+
+def _outside(curve: BPoly, low: Array, high: Array) -> tuple[int, float, float] | None:
+    """The first joint that leaves ``low`` to ``high`` (6,) anywhere on ``curve``: which, when it is furthest
+    out, s, and where it is then. None where all stay inside.
+
+    Looked at are the points and the roots of the derivative, each segment in a unit of its own length, so
+    that one of a nanosecond is judged as one of an hour. Joints whose Bernstein coefficients are all
+    inside are inside themselves (convex hull: Farouki, CAGD 29, 2012).
+    """
+    ends = np.arange(len(curve.x), dtype=np.float64)
+    for joint in np.flatnonzero(np.any((curve.c < low) | (curve.c > high), axis=(0, 1))):
+        piece = BPoly(curve.c[:, :, joint], ends)
+        slope = PPoly.from_bernstein_basis(piece.derivative())
+        slope.c[np.abs(slope.c) < _NOTHING * np.max(np.abs(slope.c), axis=0)] = 0.0
+        roots = slope.roots(extrapolate=False)
+        places = np.concatenate((ends, roots[np.isfinite(roots)]))
+        values = piece(places)
+        out = np.maximum(low[joint] - values, values - high[joint])
+        worst = int(np.argmax(out))
+        if out[worst] > 0.0:
+            return int(joint), float(np.interp(places[worst], ends, curve.x)), float(values[worst])
+    return None

@@ -1,6 +1,6 @@
 """What commissioned.yaml may say: numbers found on one machine, each with its spread, and what they rest on.
 
-Commissioning writes the file; controller and vision read it. Nothing here knows how a number is found.
+Commissioning writes the file; the controller reads it. Nothing here knows how a number is found.
 """
 
 from collections.abc import Iterator
@@ -124,25 +124,10 @@ class ValveSet(StrictModel):
         return tuple(getattr(self, name) for name in JOINT_NAMES)
 
 
-class JointPlay(StrictModel):
-    """Half the free motion of each joint between its encoder and its load (mrad), null where not found."""
-
-    slew: MeasuredNumber | None = None
-    lift: MeasuredNumber | None = None
-    tilt: MeasuredNumber | None = None
-    wrist1: MeasuredNumber | None = None
-    wrist2: MeasuredNumber | None = None
-    wrist3: MeasuredNumber | None = None
-
-
 class JointTuning(StrictModel):
     """Gains that commissioning chose; each that is given takes the place of controller.yaml's."""
 
     gain_1_s: tuple[float, float, float, float, float, float] | None = None
-    pt1_time_constant_ms: float | None = None
-    feed_forward: float | None = None
-    pressure_damping_mrad_s_bar: tuple[float, float, float, float, float, float] | None = None
-    pressure_high_pass_ms: float | None = None
 
 
 class Basis(StrictModel):
@@ -161,8 +146,6 @@ class Commissioned(StrictModel):
     basis: Basis
     valves: ValveSet
     tuning: JointTuning = JointTuning()
-    play_mrad: JointPlay = JointPlay()
-    camera_delay_ms: MeasuredNumber | None = None
 
 
 class FoundNumber(NamedTuple):

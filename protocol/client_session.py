@@ -7,10 +7,10 @@ from protocol.authentication import LinkKey
 from protocol.channel import Channel, LinkStatistics, is_newer
 from protocol.client_handshake import ClientHandshake, Credentials
 from protocol.clock_offset import HeartbeatTracker, OffsetEstimate
+from protocol.command_ledger import OpenRequests
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.errors import DatagramRefused, LinkLost, RequestRefused
 from protocol.faults import Reason
-from protocol.open_requests import OpenRequests
 from protocol.reference_messages import (
     ANY_ARM,
     DEFAULT_OFFER,

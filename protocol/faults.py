@@ -198,7 +198,7 @@ REASON_UNITS: dict[Reason, str] = {
 
 FAULT_TEXTS: dict[FaultCode, str] = {
     FaultCode.NONE: "no fault",
-    FaultCode.PLANT_LINK_LOST: "the fieldbus did not answer, or did not echo the controller's cycle",
+    FaultCode.PLANT_LINK_LOST: "the fieldbus did not answer, or did not confirm the controller's outputs",
     FaultCode.PLANT_CYCLE_FROZEN: "the plant answers but its cycle stands still",
     FaultCode.REFERENCE_LINK_LOST: "the client's session ended while the arm moved",
     FaultCode.FOLLOWING_ERROR: "a joint does not follow its command",

@@ -63,9 +63,9 @@ class TextErrors:
     def tell(self) -> None:
         """Raise StructuredTextError with the first errors in the order of the texts, if there are any."""
         lines = {str(error): error for error in sorted(self.errors, key=lambda error: error.place)}
-        told = list(lines.values())[:MOST_ERRORS]
-        if told:
-            raise StructuredTextError(told[0].cause, "\n".join(map(str, told)))
+        shown = list(lines.values())[:MOST_ERRORS]
+        if shown:
+            raise StructuredTextError(shown[0].cause, "\n".join(map(str, shown)))
 
 
 class RuntimeFault(NamedTuple):

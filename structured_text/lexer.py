@@ -104,11 +104,11 @@ def tokens(text: str) -> Iterator[Token]:
             yield Token(kind, found, "AND" if found == "&" else found.upper(), line)
         else:
             if kind != "space":
-                told = (
+                message = (
                     f"{found[:20]}… has {len(found)} characters: at most {_LONGEST}" if kind in (NUMBER, NAME)
                     else "a comment without its end is not of the language" if kind == "open"
                     else f"{found[:_LONGEST]!r} is not of the language{_WHY.get(kind, '')}"
                 )  # fmt: skip
-                yield Token(WRONG, told, "?", line)
+                yield Token(WRONG, message, "?", line)
             line += found.count("\n")
     yield Token(END, "the end of the text", "", line)

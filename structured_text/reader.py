@@ -54,10 +54,10 @@ class Reader:
     def _wrong(self, expected: str) -> NoReturn:
         found = self._peek
         why = why_left_out(found.word)
-        told = found.text if found.kind == WRONG else f"expected {expected}, found {found.text}{why}"
+        message = found.text if found.kind == WRONG else f"expected {expected}, found {found.text}{why}"
         follows = not found.word and self._tokens[self._at - 1].kind == WRONG
         follows |= found.word in RESERVED and found.word in self._refusals.lost
-        Place(self._file, found.line).refuse("follows" if follows else "syntax", told)
+        Place(self._file, found.line).refuse("follows" if follows else "syntax", message)
 
     def _name(self, what: str) -> Token:
         return self._next() if self._peek.kind == NAME else self._wrong(what)

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from controller.core.kinematics.denavit_hartenberg import chain, dh_table, geometric_jacobian, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
-from foundation.configuration import BASE_FILE
+from foundation.configuration import BASE_FILE, configuration_hash
 from nominal_arm.description import JOINT_NAMES, CylinderDrive
 from nominal_arm.dimensions import boom_dimensions
 from plant_emulator.config.actuators import CylinderConfig
 from plant_emulator.core.camera.scene import R_TM_NOMINAL, R_WO_FACING_ARM
 from protocol.errors import ConfigurationError
+from testbed.reporting.checks import HealthCheck, Verdict
 from testbed.scenarios.scenario import Settings
 from vision_pc.core.se3 import exp_so3
 
@@ -64,21 +65,10 @@ _KG_M = (20.0, 2000.0)  # [D] of moving steel a metre of reach: no such arm is l
 _L_MIN = 1.0 / 60_000.0
 
 
-Verdict = Literal["ok", "warning", "failed"]
-
-
-class ArmFinding(NamedTuple):
-    """One line: what was looked at, its verdict, what was found, and what to do about what is wrong."""
-
-    name: str
-    verdict: Verdict
-    found: str
-    advice: str = ""
-
-
-def check_arm(settings: Settings) -> list[ArmFinding]:
+def check_arm(settings: Settings) -> list[HealthCheck]:
     """All findings about the arm of ``settings``, in the order in which they are best mended."""
     return [
+        HealthCheck("hash", "ok", f"{configuration_hash(settings.arm):#018x}, which a PLC announces"),
         *_lengths(settings),
         *_linkages(settings),
         *_speeds(settings),
@@ -89,14 +79,14 @@ def check_arm(settings: Settings) -> list[ArmFinding]:
     ]
 
 
-def _compare(name: str, drawn: float, built: float, unit: str, most: float, where: str) -> ArmFinding:
+def _compare(name: str, drawn: float, built: float, unit: str, most: float, where: str) -> HealthCheck:
     found = f"drawn {drawn:.4g}{unit}, built {built:.4g}{unit}"
     if abs(drawn - built) <= most:
-        return ArmFinding(name, "ok", found)
-    return ArmFinding(name, "failed", found, f"they may differ by {most:.2g}{unit}: {where}")
+        return HealthCheck(name, "ok", found)
+    return HealthCheck(name, "failed", found, f"they may differ by {most:.2g}{unit}: {where}")
 
 
-def _lengths(settings: Settings) -> Iterator[ArmFinding]:
+def _lengths(settings: Settings) -> Iterator[HealthCheck]:
     dh, true = settings.arm.dh, settings.plant.geometry
     boom = boom_dimensions(settings.arm)
     rows = (
@@ -121,14 +111,14 @@ def _lengths(settings: Settings) -> Iterator[ArmFinding]:
         yield _compare(f"zero of {dh[row].name}", drawn, built, "°", _ANGLE_DEG, where)
 
 
-def _linkages(settings: Settings) -> Iterator[ArmFinding]:
+def _linkages(settings: Settings) -> Iterator[HealthCheck]:
     for name, drive in zip(JOINT_NAMES, settings.arm.drives, strict=True):
         true = getattr(settings.plant.actuators, name).cylinder
         if (true is None) == isinstance(drive, CylinderDrive):
             kinds = ("a vane", "a cylinder")
             drawn, built = kinds[isinstance(drive, CylinderDrive)], kinds[true is not None]
             advice = "arm.drives.kind and plant.actuators must say the same"
-            yield ArmFinding(f"{name}'s drive", "failed", f"drawn {drawn}, built {built}", advice)
+            yield HealthCheck(f"{name}'s drive", "failed", f"drawn {drawn}, built {built}", advice)
         elif isinstance(drive, CylinderDrive):
             where = f"arm.drives of {name}, plant.actuators.{name}.cylinder"
             yield _compare(f"{name}'s long side", drive.long_m, true.base_m, " m", _LENGTH_M, where)
@@ -139,7 +129,7 @@ def _linkages(settings: Settings) -> Iterator[ArmFinding]:
             yield _compare(f"{name}'s area ratio", drive.area_ratio, built_ratio, "", 0.05, where)
 
 
-def _speeds(settings: Settings) -> Iterator[ArmFinding]:
+def _speeds(settings: Settings) -> Iterator[HealthCheck]:
     """Full-spool speeds without load, from rated flow and areas, at the pressures that the drawing names."""
     rated, drop = settings.arm.rated, settings.plant.valves.rated_drop_bar
     for name, drive in zip(JOINT_NAMES, settings.arm.drives, strict=True):
@@ -173,7 +163,7 @@ def _cylinder_speeds(
     return extend, retract
 
 
-def _ranges(settings: Settings) -> Iterator[ArmFinding]:
+def _ranges(settings: Settings) -> Iterator[HealthCheck]:
     """The drawn range of every joint lies between the machine's stops."""
     for joint in settings.arm.joints:
         actuator = getattr(settings.plant.actuators, joint.name)
@@ -182,7 +172,7 @@ def _ranges(settings: Settings) -> Iterator[ArmFinding]:
         found = f"{joint.lower_deg:g} to {joint.upper_deg:g}°, stops at {low:.1f} and {high:.1f}°"
         inside = low - 0.2 <= joint.lower_deg and joint.upper_deg <= high + 0.2
         advice = "" if inside else f"arm.joints of {joint.name}: the machine is stopped before its limit"
-        yield ArmFinding(f"{joint.name}'s range", "ok" if inside else "failed", found, advice)
+        yield HealthCheck(f"{joint.name}'s range", "ok" if inside else "failed", found, advice)
 
 
 def _stops(cylinder: CylinderConfig) -> tuple[float, float]:
@@ -198,7 +188,7 @@ def _stops(cylinder: CylinderConfig) -> tuple[float, float]:
     return min(ends), max(ends)
 
 
-def _weight(settings: Settings) -> ArmFinding:
+def _weight(settings: Settings) -> HealthCheck:
     """Kilograms and metres: steel a metre of reach."""
     masses, boom = settings.plant.masses, boom_dimensions(settings.arm)
     bars, wrist = (*masses.boom, *masses.arm, *masses.telescope), (masses.wrist1, masses.wrist2, masses.tool)
@@ -207,11 +197,11 @@ def _weight(settings: Settings) -> ArmFinding:
     low, high = (limit * reach for limit in _KG_M)
     found = f"{total:.0f} kg move, {reach:.2f} m from lift pivot to tool, stretched"
     if low <= total <= high:
-        return ArmFinding("units", "ok", found)
-    return ArmFinding("units", "warning", found, f"{low:.0f} to {high:.0f} kg are usual: kilograms, metres?")
+        return HealthCheck("units", "ok", found)
+    return HealthCheck("units", "warning", found, f"{low:.0f} to {high:.0f} kg are usual: kilograms, metres?")
 
 
-def _start(settings: Settings) -> Iterator[ArmFinding]:
+def _start(settings: Settings) -> Iterator[HealthCheck]:
     """The pose that work begins at: inside every range and the workspace, away from singularities."""
     arm, start = settings.arm, settings.plant.start_pose_deg
     key = "plant.start_pose_deg"
@@ -220,16 +210,16 @@ def _start(settings: Settings) -> Iterator[ArmFinding]:
         if room < _MARGIN_DEG:
             why = f"{at:g}° of {joint.lower_deg:g} to {joint.upper_deg:g}°"
             advice = f"{key}: {_MARGIN_DEG:g}° from either end"
-            yield ArmFinding(f"start, {joint.name}", "failed", why, advice)
+            yield HealthCheck(f"start, {joint.name}", "failed", why, advice)
     table, q = dh_table(arm.dh), np.radians(start)
     least = float(np.linalg.svd(geometric_jacobian(chain(table, q)), compute_uv=False)[-1])
     wanted = settings.controller.motion.singular_value_min
     away = least > wanted and abs(start[4]) >= _STRETCHED_DEG
     advice = "" if away else f"{key}: wrist 2 further than {_STRETCHED_DEG:g}° from 0, elbow bent"
     found = f"least singular value {least:.3f}, refused below {wanted:g}; wrist 2 at {start[4]:g}°"
-    yield ArmFinding("start, singularities", "ok" if away else "failed", found, advice)
+    yield HealthCheck("start, singularities", "ok" if away else "failed", found, advice)
     p = tool_pose(table, q)[:3, 3]
-    yield ArmFinding("start, workspace", *_in_workspace(settings, p, key))
+    yield HealthCheck("start, workspace", *_in_workspace(settings, p, key))
 
 
 def _in_workspace(settings: Settings, p: NDArray[np.float64], key: str) -> tuple[Verdict, str, str]:
@@ -246,7 +236,7 @@ def _in_workspace(settings: Settings, p: NDArray[np.float64], key: str) -> tuple
     return "failed", f"{found}: {'; '.join(outside)}", f"arm.workspace, or {key}"
 
 
-def _goal(settings: Settings) -> ArmFinding:
+def _goal(settings: Settings) -> HealthCheck:
     """Whether the tool can stand at the object, as the drawing has the arm."""
     table, target = dh_table(settings.arm.dh), settings.scene.object_of_interest
     start = np.radians(settings.plant.start_pose_deg)
@@ -256,9 +246,9 @@ def _goal(settings: Settings) -> ArmFinding:
     verdict, q, distance, limit = joint_angles(table, R_BT, p_BT, start)
     if verdict != REACHED:
         why = f"{distance:.2f} m from lift pivot to wrist, the boom's limit is {limit:.2f} m"
-        return ArmFinding("object, reach", "failed", why, f"{key}: nearer, or from where the arm can go")
+        return HealthCheck("object, reach", "failed", why, f"{key}: nearer, or from where the arm can go")
     for joint, at in zip(settings.arm.joints, np.degrees(q), strict=True):
         if not joint.lower_deg <= at <= joint.upper_deg:
             why = f"{joint.name} at {at:.1f}° of {joint.lower_deg:g} to {joint.upper_deg:g}°"
-            return ArmFinding("object, reach", "failed", why, key)
-    return ArmFinding("object, reach", *_in_workspace(settings, p_BT, key))
+            return HealthCheck("object, reach", "failed", why, key)
+    return HealthCheck("object, reach", *_in_workspace(settings, p_BT, key))

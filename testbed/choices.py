@@ -1,6 +1,7 @@
-"""What options choose from: the controllers, and the ways in which robots write poses."""
+"""What options choose from: the controllers, the clocks, and the ways in which robots write poses."""
 
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class ControllerKind(StrEnum):
@@ -13,6 +14,26 @@ class ControllerKind(StrEnum):
     def module(self) -> str:
         """What is run as its process."""
         return "controller" if self is ControllerKind.PYTHON else "controller_st"
+
+
+class ClockKind(StrEnum):
+    """Whose time all parts go by; the value is the option's."""
+
+    PLANT = "plant"
+    WALL = "wall"
+
+
+class Timing(NamedTuple):
+    """``clock``: None: the plant's, where no part is somebody else's. ``pace``: the most times real time, 0:
+    as fast as all parts answer. ``goes``: what ``PUT /clock`` takes, at the start.
+    """
+
+    clock: ClockKind | None = None
+    pace: float = 1.0
+    goes: str = "always"
+
+
+USUAL_TIMING = Timing()
 
 
 class PoseForm(StrEnum):

@@ -11,7 +11,7 @@ import pytest
 from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS
 
-pytest_plugins = ["tests.support.real_time", "tests.support.time_spent"]
+pytest_plugins = ["tests.support.real_time"]
 
 # Properties hold whatever else the machine does: no example has a deadline on the wall clock. No change is
 # judged by chance: a test has the same examples in every run; `--hypothesis-profile=search` draws others.

@@ -1,14 +1,16 @@
-"""Markdown tables for the generated parts of pages: cases, limits, sessions."""
+"""Markdown tables of the written protocol that follow from the code: numbers with names, and limits."""
 
 from collections.abc import Iterable
+from enum import IntEnum
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeVar
 
 from controller.config import ControllerConfig
 from controller.core.inbox import WAITING
 from controller.core.trajectories.path_survey import JOINT_MARGIN_DEG
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
+from protocol.axes_group import ANSWERS, Asked, Mode
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
 from protocol.client_handshake import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
@@ -22,6 +24,18 @@ from protocol.clock_offset import (
 )
 from protocol.command_ledger import REMEMBERED
 from protocol.datagram_layout import MAX_DATAGRAM_BYTES, MAX_WAYPOINTS
+from protocol.faults import (
+    COMMAND_TEXTS,
+    FAULT_TEXTS,
+    GROUP_STATE_TEXTS,
+    REASON_TEXTS,
+    SEVERITY_TEXTS,
+    CommandCode,
+    FaultCode,
+    GroupState,
+    Reason,
+    Severity,
+)
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
 
 
@@ -32,7 +46,10 @@ def table(head: str, rows: Iterable[Iterable[object]]) -> str:
     return "\n".join([head, "|---" * len(columns) + "|", *body])
 
 
-CONFIGS = Path(__file__).parents[1] / "configs"
+ROOT = Path(__file__).parents[1]
+CONFIGS = ROOT / "configs"
+Member = TypeVar("Member", bound=IntEnum)
+COLUMNS = {Asked.MOVE: "reference", Asked.STREAMED: "streamed reference"}
 MS = 1_000_000
 
 
@@ -116,80 +133,38 @@ def motion_limits() -> str:
     return table("refused with | what is accepted", rows)
 
 
-class Row(NamedTuple):
-    """In ``state``, after ``event``: the next state, and the datagrams that are sent."""
-
-    state: str
-    event: str
-    then: str
-    sends: str
+def enumeration(members: type[Member], texts: dict[Member, str]) -> str:
+    """Number, name and meaning of every member."""
+    return table("number | name | meaning", ((m.value, m.name, texts[m]) for m in members))
 
 
-SERVER_ROWS = (
-    Row("CLOSED", "HELLO, nonce not used before, arm_hash 0 or its own", "CLOSED", "WELCOME"),
-    Row(
-        "CLOSED", "first datagram in the session of the newest WELCOME: HEARTBEAT", "OPEN", "HEARTBEAT_REPLY"
-    ),
-    Row("CLOSED", "the same, later than link_timeout_ms", "CLOSED", "BYE UNKNOWN_SESSION"),
-    Row("CLOSED", "state period has passed since WELCOME", "CLOSED", "–"),
-    Row("CLOSED", "HELLO, same source, same nonce", "CLOSED", "the same WELCOME"),
-    Row("CLOSED", "HELLO, arm_hash of another arm", "CLOSED", "BYE WRONG_ARM"),
-    Row("CLOSED", "HELLO, nonce of an earlier session", "CLOSED", "–"),
-    Row("CLOSED", "datagram of another major version", "CLOSED", "BYE INCOMPATIBLE_VERSION"),
-    Row("CLOSED", "BYE", "CLOSED", "–"),
-    Row("CLOSED", "any other datagram", "CLOSED", "BYE UNKNOWN_SESSION"),
-    Row("OPEN", "HELLO, same source, same nonce", "OPEN", "WELCOME"),
-    Row("OPEN", "HELLO, same source, new nonce, sent later", "OPEN", "WELCOME"),
-    Row(
-        "OPEN",
-        "first datagram in the session of that WELCOME: HEARTBEAT",
-        "OPEN, new session",
-        "HEARTBEAT_REPLY",
-    ),
-    Row("OPEN", "HELLO, same source, new nonce, sent earlier", "OPEN", "–"),
-    Row("OPEN", "HELLO, arm_hash of another arm", "OPEN", "BYE WRONG_ARM"),
-    Row("OPEN", "HELLO, another source", "OPEN", "BYE SESSION_OCCUPIED"),
-    Row("OPEN", "datagram of another major version", "OPEN", "BYE INCOMPATIBLE_VERSION"),
-    Row("OPEN", "HEARTBEAT", "OPEN", "HEARTBEAT_REPLY"),
-    Row("OPEN", "request, id above all before", "OPEN", "ACKNOWLEDGEMENT after the decision"),
-    Row("OPEN", "request again, decided", "OPEN", "the same ACKNOWLEDGEMENT"),
-    Row("OPEN", "request again, not yet decided", "OPEN", "–"),
-    Row("OPEN", "request, id used, content differs", "OPEN", "ACKNOWLEDGEMENT REPEATED_COMMAND_ID"),
-    Row("OPEN", "request, id below the newest and not executed", "OPEN", "ACKNOWLEDGEMENT OVERTAKEN"),
-    Row("OPEN", "state period has passed", "OPEN", "STATE"),
-    Row("OPEN", "duplicate, late or stale datagram", "OPEN", "–"),
-    Row("OPEN", "datagram of this session from another source", "OPEN", "–"),
-    Row("OPEN", "datagram of another session, not BYE", "OPEN", "BYE UNKNOWN_SESSION"),
-    Row("OPEN", "BYE", "CLOSED", "–"),
-    Row("OPEN", "silence for more than link_timeout_ms", "CLOSED", "BYE LINK_TIMEOUT"),
-    Row("OPEN", "the controller ends", "CLOSED", "BYE SHUTDOWN"),
-)
+def group_table() -> str:
+    """Every command and reference in every mode of the group: the reason that answers, and the next mode."""
+    return table(
+        "in | " + " | ".join(COLUMNS.get(asked, asked.name) for asked in Asked),
+        (
+            [
+                mode.name,
+                *(
+                    t.reason.name if t.mode is mode else f"{t.reason.name}→{t.mode.name}"
+                    for t in (ANSWERS[mode, asked] for asked in Asked)
+                ),
+            ]
+            for mode in Mode
+        ),
+    )
 
-CLIENT_ROWS = (
-    Row("CLOSED", "asked to connect", "CONNECTING", "HELLO"),
-    Row("CLOSED", "any datagram", "CLOSED", "–"),
-    Row("CONNECTING", "HELLO period has passed", "CONNECTING", "HELLO, same nonce"),
-    Row("CONNECTING", "HELLO period has passed after the tenth HELLO", "CONNECTING", "HELLO, new nonce"),
-    Row("CONNECTING", "WELCOME with its nonce", "CONNECTED", "HEARTBEAT"),
-    Row("CONNECTING", "WELCOME with another nonce", "CONNECTING", "–"),
-    Row("CONNECTING", "BYE SESSION_OCCUPIED", "CONNECTING", "–"),
-    Row("CONNECTING", "BYE with any other reason", "CLOSED", "–"),
-    Row("CONNECTED", "heartbeat period has passed", "CONNECTED", "HEARTBEAT"),
-    Row("CONNECTED", "request not answered within the resend time", "CONNECTED", "the request, same id"),
-    Row("CONNECTED", "ACKNOWLEDGEMENT of an open request", "CONNECTED", "–"),
-    Row("CONNECTED", "BYE of the session", "CLOSED", "–"),
-    Row("CONNECTED", "silence for more than link_timeout_ms", "CLOSED", "BYE LINK_TIMEOUT"),
-    Row("CONNECTED", "asked to disconnect", "CLOSED", "BYE SHUTDOWN"),
-)
 
-# What is added at the controller's end where a key is configured.
-KEY_SERVER_ROWS = (
-    Row("CLOSED", "HELLO, signed", "CLOSED", "WELCOME"),
-    Row("CLOSED", "HELLO, not signed", "CLOSED", "BYE NOT_AUTHENTICATED"),
-    Row("CLOSED", "HELLO, signed with another key", "CLOSED", "BYE UNKNOWN_KEY"),
-    Row("CLOSED", "HELLO, with a wrong tag", "CLOSED", "BYE BAD_TAG"),
-    Row("CLOSED", "first HEARTBEAT under the keys of WELCOME", "OPEN", "HEARTBEAT_REPLY"),
-    Row("OPEN", "datagram not signed, of another key or with a wrong tag", "OPEN", "–"),
-    Row("OPEN", "replay, or number behind the window", "OPEN", "–"),
-    Row("OPEN", "BYE not signed", "OPEN", "–"),
-)
+def protocol_sections() -> dict[str, str]:
+    """Every generated section of the written protocol by its name."""
+    return {
+        "limits": limits(),
+        "motion limits": motion_limits(),
+        "stream limits": stream_limits(),
+        "commands": enumeration(CommandCode, COMMAND_TEXTS),
+        "group states": enumeration(GroupState, GROUP_STATE_TEXTS),
+        "group transitions": group_table(),
+        "severities": enumeration(Severity, SEVERITY_TEXTS),
+        "reasons": enumeration(Reason, REASON_TEXTS),
+        "faults": enumeration(FaultCode, FAULT_TEXTS),
+    }

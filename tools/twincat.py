@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
-from tools.protocol_page import ROOT
+from tools.tables import ROOT
 
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "urn:longreach:plc")
 _BEGINS = re.compile(r"^(FUNCTION_BLOCK|FUNCTION|PROGRAM|TYPE|VAR_GLOBAL)\b[ \t]*(\w*)", re.MULTILINE)

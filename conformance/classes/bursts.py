@@ -176,7 +176,6 @@ def bursts(mode: Mode) -> Iterator[tuple[Way, ...]]:
 def _enter(number: int, clause: str, mode: Mode) -> None:
     def run(peer: Peer) -> None:
         disabled(peer, capabilities=BOTH)
-        assert peer.welcome is not None
         if peer.welcome.capabilities & BOTH != BOTH:
             raise Unsupported("paths or streams are not granted", OptionalPart.STREAMING)
         here = enabled(peer).X_BT_cmd if mode is Mode.STANDBY else peer.state().X_BT
@@ -222,7 +221,6 @@ def stop_and_end(peer: Peer) -> None:
         last: Message = Bye(Reason.SHUTDOWN) if end == "BYE" else Heartbeat(peer.now_ns)
         for each in (data, peer.encoded(last, session=session)):
             peer.send_raw(each)
-        peer.session = 0
         peer.open(period_ms=20)
         latched = bool(peer.state().flags & FLAG_EMERGENCY_LATCHED)
         require(latched, f"EMERGENCY_STOP was forgotten at {end}")
@@ -251,7 +249,6 @@ def _new(peer: Peer, kind: Kind, here: Pose) -> tuple[Message, object]:
 def kinds_at_once(peer: Peer) -> None:
     disabled(peer, capabilities=BOTH)
     peer.open(capabilities=BOTH)  # a restart in place, that is a session as any other
-    assert peer.welcome is not None
     can, here = peer.welcome.capabilities, peer.state().X_BT
     kinds = [Kind.HEARTBEAT, Kind.COMMAND, Kind.REFERENCE_POSE]
     kinds += [Kind.REFERENCE_PATH] if can & CAPABILITY_PATHS else []

@@ -8,10 +8,9 @@ from functools import partial
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_motion_times import asked_for
 from conformance.reference.arm_state_truth import turned
 from conformance.reference.arm_stream_times import LIMITS_FEED_MS, resting_stream
-from conformance.reference.motion import expect_reason, moved, scaled, standby
+from conformance.reference.motion import expect_reason, moved, reference_reason, scaled, standby
 from conformance.reference.streaming import Stream
 from conformance.wire import Unsupported, require
 from protocol.datagram_layout import HEADER_BYTES, MAX_WAYPOINTS, PAYLOADS, Kind, offsets
@@ -127,7 +126,7 @@ def _away(pose: Pose) -> Pose:
 @case(439, "3.7", "−0, the least normal number and a huge one are numbers: none is NOT_FINITE")
 def sound_numbers(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
-    far, paths = _away(here), peer.welcome is not None and peer.welcome.capabilities & 1
+    far, paths = _away(here), peer.welcome.capabilities & 1
     kinds: dict[Kind, Request] = {Kind.REFERENCE_POSE: ReferencePose(1, far, 0.0)}
     if paths:
         kinds[Kind.REFERENCE_PATH] = ReferencePath(1, (far,), 0.0, 0.0)
@@ -189,10 +188,10 @@ def require_edge(ask: Ask, reason: Reason, far: float, what: str, slack: float =
 def durations(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     for far in (1e-6, 1e9):
-        found = require_edge(lambda s: asked_for(peer, here, s), Reason.BAD_DURATION, far, "a time")
+        found = require_edge(lambda s: reference_reason(peer, here, s), Reason.BAD_DURATION, far, "a time")
         require(found, f"{far:g} s is not BAD_DURATION")
     for negative in (-1.0, -LEAST_NORMAL, -1e9):
-        expect_reason(asked_for(peer, here, negative), Reason.BAD_DURATION, f"{negative:g} s")
+        expect_reason(reference_reason(peer, here, negative), Reason.BAD_DURATION, f"{negative:g} s")
 
 
 @case(562, "6.10", "a path's times: their bounds to the last bit", needs=PATHS)
@@ -214,7 +213,7 @@ def distance(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
 
     def ask(metres: float) -> Acknowledgement:
-        return asked_for(peer, moved(here, dz=metres))
+        return reference_reason(peer, moved(here, dz=metres))
 
     if not require_edge(ask, Reason.TOO_FAR, 100.0, "a distance", ROUNDED):
         raise Unsupported("100 m away is not TOO_FAR: this controller has no such limit")
@@ -228,7 +227,7 @@ def workspace(peer: Peer) -> None:
 
         def ask(place: float, axis: int = axis) -> Acknowledgement:
             p_m = tuple(place if k == axis else each for k, each in enumerate(here.p_m))
-            return asked_for(peer, here._replace(p_m=(p_m[0], p_m[1], p_m[2])))
+            return reference_reason(peer, here._replace(p_m=(p_m[0], p_m[1], p_m[2])))
 
         for sign in (-1.0, 1.0):
             ways = (0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 5.0, 10.0)
@@ -246,16 +245,18 @@ def joint_limit(peer: Peer) -> None:
     here, joint = state.X_BT_cmd, state.q_cmd[5]
 
     def ask(angle: float) -> Acknowledgement:
-        return asked_for(peer, turned(here, angle - joint))
+        return reference_reason(peer, turned(here, angle - joint))
 
     got = ask(joint + 3.0)
     if got.reason is not Reason.JOINT_LIMIT:
         raise Unsupported(f"a turn of 3 rad about the last joint's axis is {got.reason.name}")
     bound, side = abs(got.limit - joint), 1e-4
-    beyond = asked_for(peer, turned(here, bound + side))
+    beyond = reference_reason(peer, turned(here, bound + side))
     require(beyond.reason is Reason.JOINT_LIMIT and beyond.limit == got.limit, f"just beyond: {beyond}")
     require(abs(beyond.value - got.limit) < 0.1, f"just beyond the bound: value {beyond.value:g}")
-    expect_reason(asked_for(peer, turned(here, bound - side)), Reason.ACCEPTED, "just within the bound")
+    expect_reason(
+        reference_reason(peer, turned(here, bound - side)), Reason.ACCEPTED, "just within the bound"
+    )
 
 
 @case(441, "1.5", "the norm of a quaternion: beyond 0.001 off 1 it is refused, within it is normalised")
@@ -263,12 +264,14 @@ def norms(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     here = scaled(here, 1.0 / here.quaternion_norm())
     for off in (-1.0, -0.5, -1e-3 - 1e-6, 1e-3 + 1e-6, 1.0, 1e150):
-        got = asked_for(peer, scaled(here, 1.0 + off))
+        got = reference_reason(peer, scaled(here, 1.0 + off))
         expect_reason(got, Reason.NOT_UNIT_QUATERNION, f"a norm of {1.0 + off}")
         said = math.isclose(got.value, 1.0 + off, abs_tol=ROUNDED) and got.limit == 1.0
         require(said, f"a norm of {1.0 + off}: value {got.value}, limit {got.limit}")
     for off in (-1e-3 + 1e-6, 1e-3 - 1e-6, -2.0):
-        expect_reason(asked_for(peer, scaled(here, 1.0 + off)), Reason.ACCEPTED, f"a norm of {1.0 + off}")
+        expect_reason(
+            reference_reason(peer, scaled(here, 1.0 + off)), Reason.ACCEPTED, f"a norm of {1.0 + off}"
+        )
         pose = peer.state().X_BT_cmd
         norm, turn = pose.quaternion_norm(), sum(a * b for a, b in zip(pose.q_wxyz, here.q_wxyz, strict=True))
         good = abs(norm - 1.0) < 1e-6 and abs(turn) > 1.0 - 1e-6

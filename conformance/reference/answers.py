@@ -1,6 +1,5 @@
 """Cases 430…: what a request means, and what its one answer says (clauses 1.5, 3.6, 3.7 and 6)."""
 
-import math
 from collections.abc import Iterator
 
 from conformance.case import reference
@@ -23,12 +22,7 @@ from protocol.reference_messages import (
 
 case = reference.case
 COUNT = HEADER_BYTES + 8
-SUBNORMAL = 5e-324
-ODD = (math.nan, math.inf, -math.inf, SUBNORMAL, -1e-310)
 WAITING = 64
-# A commanded place counts as reached; and what STATE and a busy tester add to a time.
-AT_M = 1e-6
-PATH_SLACK_MS = 250
 
 
 def path_that_says(peer: Peer, count: int, command_id: int | None = None) -> Acknowledgement:
@@ -39,9 +33,10 @@ def path_that_says(peer: Peer, count: int, command_id: int | None = None) -> Ack
     return peer.answer_to(path.command_id, f"{count} waypoints")
 
 
-@case(431, "3.6", "paths of 1 and of 24 waypoints can be meant, of 0 and of 25 cannot, and it is said")
+@case(
+    431, "3.6", "paths of 1 and of 24 waypoints can be meant, of 0 and of 25 cannot, and it is said", opens=50
+)
 def counts_of_waypoints(peer: Peer) -> None:
-    peer.open()
     impossible = (Reason.EMPTY_PATH, Reason.TOO_MANY_WAYPOINTS)
     for count in (1, 2, MAX_WAYPOINTS - 1, MAX_WAYPOINTS):
         got = path_that_says(peer, count)
@@ -54,9 +49,13 @@ def counts_of_waypoints(peer: Peer) -> None:
         require(got[1:] == expected, f"{count} waypoints: {got}")
 
 
-@case(432, "3.6", "the code of an unknown command is its value, its limit 0; codes 0 and 9 are unknown")
+@case(
+    432,
+    "3.6",
+    "the code of an unknown command is its value, its limit 0; codes 0 and 9 are unknown",
+    opens=50,
+)
 def unknown_codes(peer: Peer) -> None:
-    peer.open()
     for code in (0, max(CommandCode) + 1, max(CommandCode) + 2, 255, 256, 2**16 + 1, 2**31 + 3):
         request = stop(peer)
         peer.send_raw(peer.with_number(peer.encoded(request), HEADER_BYTES + 8, "I", code))
@@ -78,9 +77,8 @@ def _changed_numbers(kind: Kind) -> Iterator[tuple[str, int, str]]:
                 )
 
 
-@case(433, "6.5", "an id that comes again with any other number in it: REPEATED_COMMAND_ID")
+@case(433, "6.5", "an id that comes again with any other number in it: REPEATED_COMMAND_ID", opens=50)
 def any_other_content(peer: Peer) -> None:
-    peer.open()
     full = (IDENTITY,) * MAX_WAYPOINTS
     for request in (
         stop(peer),
@@ -117,9 +115,8 @@ def sixty_four_wait(peer: Peer) -> None:
     require(reasons == {Reason.ALREADY_DONE}, f"answered {sorted(reason.name for reason in reasons)}")
 
 
-@case(438, "6.3", "the same request with other optional flags and time is a repetition")
+@case(438, "6.3", "the same request with other optional flags and time is a repetition", opens=50)
 def repeated_otherwise(peer: Peer) -> None:
-    peer.open()
     for request in (stop(peer), ReferencePose(peer.new_id(), IDENTITY, 1.0)):
         first = peer.ask(request, "the first time")
         peer.send(request, flags=2, sent_ns=peer.now_ns - 1_000_000)
@@ -128,13 +125,11 @@ def repeated_otherwise(peer: Peer) -> None:
         require(not padded, f"{len(padded)} answers too many")
 
 
-case = reference.case
 REMEMBERED = 256
 
 
-@case(402, "6.3", "a repeated request is answered with the same acknowledgement")
+@case(402, "6.3", "a repeated request is answered with the same acknowledgement", opens=50)
 def repeated(peer: Peer) -> None:
-    peer.open()
     request = stop(peer)
     first = peer.ask(request, "the first time")
     for _ in range(5):
@@ -142,9 +137,8 @@ def repeated(peer: Peer) -> None:
     require(len(peer.answers("after repetitions")) == 0, "more answers than requests")
 
 
-@case(403, "6.3", "a refusal is repeated as it was given, though the state has changed since")
+@case(403, "6.3", "a refusal is repeated as it was given, though the state has changed since", opens=50)
 def refusal_repeated(peer: Peer) -> None:
-    peer.open()
     request = Command(peer.new_id(), CommandCode.RESET)
     first = peer.ask(request, "RESET")
     peer.ask(stop(peer), "STOP")
@@ -152,9 +146,8 @@ def refusal_repeated(peer: Peer) -> None:
     require(peer.ask(request, "RESET again") == first, "another acknowledgement")
 
 
-@case(407, "8", "an answer is remembered for 256 requests, and an older id is still not executed")
+@case(407, "8", "an answer is remembered for 256 requests, and an older id is still not executed", opens=50)
 def memory(peer: Peer) -> None:
-    peer.open()
     first, second = stop(peer), stop(peer)
     peer.ask(first, "the first request")
     peer.ask(second, "the second request")
@@ -165,13 +158,11 @@ def memory(peer: Peer) -> None:
     require(got in (Reason.OVERTAKEN, Reason.ACCEPTED), f"answered {got.name}")
 
 
-@case(408, "4.7", "a new session knows nothing of the ids of the one before")
+@case(408, "4.7", "a new session knows nothing of the ids of the one before", opens=50)
 def ids_start_again(peer: Peer) -> None:
-    peer.open()
     high = stop(peer)
     peer.ask(high, "the first session")
-    peer.leave()
-    peer.open()
+    peer.reopen()
     low = high._replace(command_id=high.command_id - 5)
     require(peer.ask(low, "a lower id").reason is Reason.ACCEPTED, "refused for an id of another session")
 
@@ -190,21 +181,17 @@ def rates(peer: Peer) -> None:
         peer.leave()
 
 
-@case(414, "7.5", "a session begins without motion")
+@case(414, "7.5", "a session begins without motion", opens=20)
 def begins_at_rest(peer: Peer) -> None:
-    peer.open(period_ms=20)
     state = peer.state()
     require(state.group_state is not GroupState.MOVING, "the arm moves although nothing was asked")
 
 
 COMMAND_PADDING, PATH_PADDING, FIRST_UNUSED = 52, 52, 56 + 56
-# Of so many pairs of references a scan may come between the two of one or another.
-PAIRS, PARTED = 6, 2
 
 
-@case(419, "6.5", "padding and unused waypoints do not make a repetition another request")
+@case(419, "6.5", "padding and unused waypoints do not make a repetition another request", opens=50)
 def padding_repeated(peer: Peer) -> None:
-    peer.open()
     requests: list[tuple[Command | ReferencePath, list[int]]] = [
         (stop(peer), [COMMAND_PADDING]),
         (ReferencePath(peer.new_id(), (IDENTITY,), 0.0, 0.0), [PATH_PADDING, FIRST_UNUSED]),

@@ -12,11 +12,19 @@ from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched, turned
 from conformance.reference.arm_transitions import entered
-from conformance.reference.motion import expect_reason, moved, require_reason
+from conformance.reference.motion import (
+    CENTRED,
+    accepted,
+    expect_reason,
+    moved,
+    reference_reason,
+    require_near,
+    require_reason,
+    require_shown,
+)
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
-from protocol.pose import Pose
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, Acknowledgement, ReferencePath, ReferencePose
 
 case = reference.case
@@ -28,18 +36,12 @@ AT_M = 1e-7
 UNDER_WAY_MS = 600.0
 
 
-def asked_for(peer: Peer, goal: Pose, seconds: float = 0.0) -> Acknowledgement:
-    """The answer to a reference."""
-    return peer.ask(ReferencePose(peer.new_id(), goal, seconds), "a motion")
-
-
 def until_done(watch: StateWatch, request: ReferencePose | ReferencePath) -> list[Watched]:
     """The STATEs of an accepted motion, from the first that names it to the first that calls it done."""
-    expect_reason(watch.peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion")
-    wanted_id = request.command_id
+    wanted_id = accepted(watch.peer, request)
     seen = watch.during(30_000.0, until=lambda s: s.motion_done and s.motion_id == wanted_id)
     require(seen[-1].state.motion_done, "it is not done")
-    return [each for each in seen if each.state.motion_id == request.command_id]
+    return [each for each in seen if each.state.motion_id == wanted_id]
 
 
 def height(each: Watched) -> float:
@@ -106,12 +108,11 @@ def shortest(peer: Peer) -> None:
     watch = StateWatch(peer)
     took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), scene.goal, 0.0)))
     # The way back is as long; a controller that calls a motion done when the arm has settled adds its lag.
-    shorter = asked_for(peer, scene.here, 0.6 * took * 1e-3)
+    shorter = reference_reason(peer, scene.here, 0.6 * took * 1e-3)
     refused = (Reason.TOO_FAST, Reason.BAD_DURATION)
     require(shorter.reason in refused, f"it took {took:.0f} ms, and 60 % of that is {shorter.reason.name}")
-    longer = asked_for(peer, scene.here, (1.05 * took + 2 * watch.period_ms) * 1e-3)
+    longer = reference_reason(peer, scene.here, (1.05 * took + 2 * watch.period_ms) * 1e-3)
     expect_reason(longer, Reason.ACCEPTED, f"it took {took:.0f} ms, and 5 % more")
-    peer.command(CommandCode.STOP)
 
 
 @case(560, "6.9", "a new reference replaces the one being followed, without a step of the speed", motion=True)
@@ -120,8 +121,7 @@ def replaces(peer: Peer) -> None:
     watch = StateWatch(peer)
     before = watch.during(UNDER_WAY_MS)
     seen = until_done(watch, ReferencePose(peer.new_id(), scene.here, 1.5))
-    off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.here.p_m)
-    require(off_m < 1e-6, f"it ends {off_m * 1e3:.1f} mm from where it was sent")
+    require_near(seen[-1].state.X_BT_cmd, scene.here, 1e-6, "it ends from where it was sent")
     went_on = max(map(height, seen)) - height(before[-1])
     require(went_on > RAMP_M, "the speed drops to nothing when a new reference comes")
     require_no_jump([before[-1], *seen], "a new reference")
@@ -135,7 +135,7 @@ def refused_in_motion(peer: Peer) -> None:
     seen = watch.during(100.0)
     nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
     for bad in (nan, moved(scene.here, dz=50.0)):
-        require(asked_for(peer, bad, 0.0).reason is not Reason.ACCEPTED, f"{bad.p_m} was accepted")
+        require(reference_reason(peer, bad, 0.0).reason is not Reason.ACCEPTED, f"{bad.p_m} was accepted")
     seen += watch.during(3000.0, until=lambda state: state.motion_done)
     last = seen[-1].state
     require(last.motion_done and last.motion_id == motion_id, "the motion was not driven to its end")
@@ -162,8 +162,7 @@ def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched
 @case(569, "7.3", "DISABLE in motion ramps down before it drops the enable, without a fault", motion=True)
 def disabled_in_motion(peer: Peer) -> None:
     last = _ramp_states(peer, CommandCode.DISABLE, GroupState.DISABLED)[-1].state
-    require(not any(last.valves), f"valves {last.valves}")
-    require(last.fault is FaultCode.NONE, f"fault {last.fault.name}")
+    require_shown(last, "after the ramp", valves=CENTRED, fault=FaultCode.NONE)
 
 
 @case(570, "7.3", "STOP in motion ramps down without a step of the speed, and holds there", motion=True)
@@ -179,7 +178,6 @@ def centred_at_once(peer: Peer) -> None:
     entered(peer, Mode.MOVING)
     watch = StateWatch(peer)
     watch.during(UNDER_WAY_MS / 2.0)
-    assert peer.welcome is not None
     sent_ns = peer.now_ns
     require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     peer.passed_over.clear()
@@ -194,7 +192,7 @@ def centred_at_once(peer: Peer) -> None:
         require(bool(each.state.flags & FLAG_EMERGENCY_LATCHED), "the latch is gone")
 
 
-SIDE, SIDE_M, SIDE_RAD = 0.01, 0.01, 0.01
+SIDE = 0.01
 TRIES = 12
 
 
@@ -206,9 +204,9 @@ def _require(got: Acknowledgement, reason: Reason, limit: float, what: str) -> N
 @case(563, "6.9", "a time that is too short for the way: both sides of what is TOO_FAST", motion=True)
 def too_fast(peer: Peer) -> None:
     goal = moved(entered(peer, Mode.STANDBY).here, dz=0.06)
-    seconds = asked_for(peer, goal, 1e-6).limit * (1.0 + SIDE)
+    seconds = reference_reason(peer, goal, 1e-6).limit * (1.0 + SIDE)
     for _ in range(TRIES):
-        got = asked_for(peer, goal, seconds)
+        got = reference_reason(peer, goal, seconds)
         expect_reason(got, Reason.TOO_FAST, f"60 mm in {seconds:g} s")
         require(got.value > got.limit > 0.0, f"value {got.value:g}, limit {got.limit:g}")
         ratio = got.value / got.limit
@@ -218,9 +216,8 @@ def too_fast(peer: Peer) -> None:
         seconds *= math.sqrt(ratio) * (1.0 - SIDE)
     require(ratio < 1.0 + 4 * SIDE, "the values of TOO_FAST lead nowhere")
     expect_reason(
-        asked_for(peer, goal, seconds * ratio * (1.0 + SIDE)), Reason.ACCEPTED, "a little more time"
+        reference_reason(peer, goal, seconds * ratio * (1.0 + SIDE)), Reason.ACCEPTED, "a little more time"
     )
-    peer.command(CommandCode.STOP)
 
 
 @case(567, "6.9", "a singularity: refused from the value on that the refusal names", motion=True)
@@ -229,7 +226,7 @@ def singular(peer: Peer) -> None:
     about = (1.0, 0.0, 0.0)
 
     def at(degrees: float) -> Acknowledgement:
-        return asked_for(peer, turned(here, math.radians(degrees), about))
+        return reference_reason(peer, turned(here, math.radians(degrees), about))
 
     tried = [side * 2.5 * step for step in range(1, 19) for side in (-1.0, 1.0)]
     refused = next((each for each in tried if at(each).reason is Reason.SINGULAR), None)

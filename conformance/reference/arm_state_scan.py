@@ -11,20 +11,21 @@ from itertools import pairwise
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, turned_in_base
-from conformance.reference.arm_transitions import entered, opened_stream
+from conformance.reference.arm_state_truth import StateWatch, require_following, turned_in_base
+from conformance.reference.arm_transitions import entered
 from conformance.reference.framing import stop
 from conformance.reference.motion import (
+    CENTRED,
     STEP_M,
+    accepted,
     angle_between,
     disabled,
     enabled,
-    expect_reason,
     moved,
-    reference_reason,
     require_reason,
+    require_shown,
 )
-from conformance.reference.streaming import BOTH, FEED_MS
+from conformance.reference.streaming import BOTH, FEED_MS, opened_stream
 from conformance.wire import MS, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, Reason, Severity
@@ -36,8 +37,6 @@ RARELY_MS = 250
 SEGMENT_S = 0.8
 # What a busy machine adds; and what scans that it skipped may lack of their time.
 LATE_MS, SKIPPED_MS = 30.0, 50.0
-# Of what follows the measurement in the same scan: two digits of an encoder, and a rounding.
-SAME_RAD, SAME_M = 1e-4, 1e-6
 # A joint that moves by less than this part of what the busiest one moves by is at rest.
 RESTS = 0.05
 # One that moves by this part of what it was asked for follows.
@@ -50,8 +49,7 @@ def rarely(peer: Peer) -> tuple[StateWatch, Pose]:
     """A session with STATE every 250 ms and the group DISABLED; a watch, and the pose T has."""
     disabled(peer, capabilities=BOTH, period_ms=0)
     here = peer.state().X_BT
-    peer.leave()
-    peer.open(capabilities=BOTH, period_ms=RARELY_MS)
+    peer.reopen(capabilities=BOTH, period_ms=RARELY_MS)
     return StateWatch(peer), here
 
 
@@ -81,8 +79,7 @@ def cycle_counts(peer: Peer) -> None:
     cycle_ns = peer.open(period_ms=0).cycle_ns
     watch = StateWatch(peer)
     states = [each.state for each in watch.during(100.0)]
-    peer.leave()
-    peer.open(period_ms=RARELY_MS)
+    peer.reopen(period_ms=RARELY_MS)
     states += [watch.next(4 * RARELY_MS).state for _ in range(3)]
     for a, b in pairwise(states):
         counted_ms, passed_ms = (b.cycle - a.cycle) * cycle_ns / MS, (b.time_ns - a.time_ns) / MS
@@ -96,24 +93,21 @@ def cycle_counts(peer: Peer) -> None:
 def counts_of_the_scan(peer: Peer) -> None:
     watch, _ = rarely(peer)
     before = first_after(watch)
+    lost, gone = before.references_lost, before.references_dropped
     held = [peer.encoded(stop(peer)) for _ in range(3)]
     peer.alive("behind a gap of 3")
-    lost = first_after(watch).references_lost - before.references_lost
-    require(lost == 3, f"{lost} lost of a gap of 3")
+    require_shown(first_after(watch), "behind a gap of 3", references_lost=lost + 3)
     peer.send_raw(held[1])
     peer.alive("behind a late one")
-    state = first_after(watch)
-    lost = state.references_lost - before.references_lost
-    gone = state.references_dropped - before.references_dropped
-    require((lost, gone) == (2, 1), f"{lost} lost of a gap of 3 of which one came late, {gone} dropped")
+    one_came = {"references_lost": lost + 2, "references_dropped": gone + 1}
+    require_shown(first_after(watch), "of a gap of 3 of which one came late", **one_came)
     for code, severity in (
         (CommandCode.EMERGENCY_STOP, Severity.EMERGENCY),
         (CommandCode.EMERGENCY_RELEASE, Severity.EMERGENCY),
         (CommandCode.RESET, Severity.NONE),
     ):
         require_reason(peer, code, Reason.ACCEPTED, "turn")
-        state = first_after(watch)
-        require(state.severity is severity, f"severity {state.severity.name} after {code.name}")
+        require_shown(first_after(watch), f"after {code.name}", severity=severity)
 
 
 @case(592, "7.7", "in motion, and where it is cut off, STATE is of its scan, not of the STATE before")
@@ -122,20 +116,16 @@ def motion_of_the_scan(peer: Peer) -> None:
     goal = moved(here, dz=STEP_M)
     states = [first_after(watch)]
     for pose, seconds in ((goal, 0.8), (here, 1.5)):
-        request = ReferencePose(peer.new_id(), pose, seconds)
-        expect_reason(peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion")
+        motion_id = accepted(peer, ReferencePose(peer.new_id(), pose, seconds))
         for _ in range(8 if pose is goal else 3):
             states.append(first_after(watch))
-            require(states[-1].motion_id == request.command_id, "motion_id is not the motion's")
+            require(states[-1].motion_id == motion_id, "motion_id is not the motion's")
     for joints, tool in (("q_meas", "X_BT"), ("q_cmd", "X_BT_cmd")):
         _require_one_way(states[:9], joints, tool)
     require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     state = first_after(watch)
-    off = max(abs(c - m) for c, m in zip(state.q_cmd, state.q_meas, strict=True))
-    require(off < SAME_RAD, f"q_cmd and q_meas are {off * 1e3:.2f} mrad apart although nothing is driven")
-    off = math.dist(state.X_BT_cmd.p_m, state.X_BT.p_m)
-    require(off < SAME_M, f"X_BT_cmd and X_BT are {off * 1e3:.2f} mm apart although nothing is driven")
-    require(not any(state.valves), f"valves {state.valves} after EMERGENCY_STOP")
+    require_following([state])
+    require_shown(state, "after EMERGENCY_STOP", valves=CENTRED)
 
 
 def _require_one_way(states: Sequence[State], joints: str, tool: str) -> None:
@@ -167,8 +157,7 @@ def segment_of_the_scan(peer: Peer) -> None:
     watch, here = enabled_rarely(peer)
     middle = moved(here, dz=STEP_M / 2)
     sent_ns = peer.now_ns
-    request = ReferencePath(peer.new_id(), (middle, here, middle), SEGMENT_S, 0.0)
-    expect_reason(peer.ask(request, "a path"), Reason.ACCEPTED, "a path")
+    accepted(peer, ReferencePath(peer.new_id(), (middle, here, middle), SEGMENT_S, 0.0), "a path")
     accepted_ns = peer.now_ns
     segment_ms = 1e3 * SEGMENT_S
     for each in watch.during(2.9 * segment_ms):
@@ -177,7 +166,6 @@ def segment_of_the_scan(peer: Peer) -> None:
         most = int(((each.scan_ns - sent_ns) / MS + LATE_MS) // segment_ms)
         sure = least == most and 0 <= most <= 2
         require(not sure or each.state.segment == most, f"segment {each.state.segment} in segment {most}")
-    peer.command(CommandCode.STOP)
 
 
 @case(
@@ -189,7 +177,6 @@ def segment_of_the_scan(peer: Peer) -> None:
 def number_of_the_scan(peer: Peer) -> None:
     watch, here = enabled_rarely(peer)
     stream = opened_stream(peer)
-    assert peer.welcome is not None
     cycle_ns = peer.welcome.cycle_ns
     given, seen = [], []
     until_ns = peer.now_ns + 4 * RARELY_MS * MS
@@ -210,7 +197,6 @@ def number_of_the_scan(peer: Peer) -> None:
         if least is not None:  # before, there may be none to be named
             said = f"stream_number {state.stream_number}, the newest of its scan is {least} to {most}"
             require(least <= state.stream_number <= most, said)
-    peer.command(CommandCode.STOP)
 
 
 TURN_RAD, SECONDS, SETTLES_MS = 0.04, 1.2, 700.0
@@ -231,7 +217,7 @@ def _goals(here: Pose) -> list[Pose]:
 
 def _way(watch: StateWatch, goal: Pose) -> list[State]:
     before = watch.next().state
-    expect_reason(reference_reason(watch.peer, goal, SECONDS), Reason.ACCEPTED, "a small motion")
+    accepted(watch.peer, ReferencePose(watch.peer.new_id(), goal, SECONDS), "a small motion")
     return [before, *(each.state for each in watch.during(1e3 * SECONDS + SETTLES_MS))]
 
 
@@ -307,4 +293,3 @@ def signs(peer: Peer) -> None:
     for axis, joint, name in ((UP, LIFT, "lift"), (UP, TILT, "tilt"), (ABOUT_UP, SLEW, "slew")):
         acts = per_radian(axis)[joint]
         require(acts > -ACTS, f"positive {name} moves T by {acts:.2f} per radian the other way")
-    peer.command(CommandCode.STOP)

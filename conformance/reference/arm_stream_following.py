@@ -11,9 +11,9 @@ from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched, turned_in_base
-from conformance.reference.arm_transitions import entered, opened_stream
-from conformance.reference.motion import angle_between, moved, reach, require_reason
-from conformance.reference.streaming import NUMBERS, Stream
+from conformance.reference.arm_transitions import entered
+from conformance.reference.motion import angle_between, moved, reach, require_near, require_reason
+from conformance.reference.streaming import NUMBERS, Stream, opened_stream
 from conformance.wire import MS, Unsupported, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, GroupState, Reason
@@ -132,7 +132,6 @@ def _furthest(seconds: float) -> float:
 @case(579, "12.7", "it sets out with bounded acceleration and jerk")
 def sets_out_smoothly(peer: Peer) -> None:
     scene = entered(peer, Mode.STANDBY)
-    assert peer.welcome is not None
     watch = StateWatch(peer)
     stream = opened_stream(peer)
     seen, sent_ns = [], peer.now_ns
@@ -149,13 +148,11 @@ def sets_out_smoothly(peer: Peer) -> None:
         most = _furthest(seconds)
         said = f"{way * 1e3:.2f} mm within {seconds * 1e3:.0f} ms, at most {most * 1e3:.2f}"
         require(way < most + 1e-6, said)
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(573, "12.8", f"a reference every {GAP_MS:g} ms, or less with a longer cycle, is followed at full pace")
 def gaps(peer: Peer) -> None:
     stream, watch, target = _begin_stream(peer, RISING)
-    assert peer.welcome is not None
     gap_ms = min(GAP_MS, 82.0 - 3.0 * peer.welcome.cycle_ns / MS)  # it slows down by its own cycle (12.8)
     target.feed(stream, watch, MET_MS)
     for _ in range(6):
@@ -165,7 +162,6 @@ def gaps(peer: Peer) -> None:
             require(each.state.group_state is GroupState.MOVING, f"fault {each.state.fault.name}")
             require(bool(each.state.flags & FLAG_STREAMING), "the stream has ended")
         _require_met(seen, target)
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(575, "12.8", "after a silence that slowed it down a reference is followed again, soon at full pace")
@@ -226,7 +222,6 @@ def burst(peer: Peer) -> None:
         require(newest in shown, f"the newest of a burst is not followed, {lost} lost before it")
         answers = [message for message in got if isinstance(message, StreamRefused)]
         require(not answers, f"one of a burst was refused: {answers[:1]}")
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(588, "12.10", "END_STREAM rests where a moving reference was when it was last accepted")
@@ -238,8 +233,8 @@ def ends_at_its_last_place(peer: Peer) -> None:
     peer.collect(15.0)
     require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     state = reach(peer, GroupState.STANDBY, "after END_STREAM", 10_000)
-    off_m = math.dist(state.X_BT_cmd.p_m, target.at(last_ns).p_m)
-    require(off_m < SPEED_M_S * BEHIND_MS * 1e-3, f"{off_m * 1e3:.1f} mm from where the reference was")
+    most_m = SPEED_M_S * BEHIND_MS * 1e-3
+    require_near(state.X_BT_cmd, target.at(last_ns), most_m, "from where the reference was")
 
 
 @case(589, "12.4", "what is refused takes no number, and the one before stays in force")
@@ -256,6 +251,4 @@ def refused_has_no_effect(peer: Peer) -> None:
         number = stream.number - 1
     stream.refused(nan, Reason.NOT_FINITE, "NaN")
     stream.feed(scene.goal, 1200.0)
-    off_m = math.dist(peer.state().X_BT_cmd.p_m, scene.goal.p_m)
-    require(off_m < 1e-4, f"{off_m * 1e3:.1f} mm from the reference that stayed in force")
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    require_near(peer.state().X_BT_cmd, scene.goal, 1e-4, "from the reference that stayed in force")

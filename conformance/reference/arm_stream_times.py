@@ -4,6 +4,7 @@ Times are judged on the tester's clock: from the sending of a reference to the s
 """
 
 import math
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -12,10 +13,10 @@ from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched, turned
-from conformance.reference.arm_transitions import entered, opened_stream
+from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import moved, reach, require_reason, scaled
-from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream
-from conformance.wire import MS, require
+from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream, opened_stream
+from conformance.wire import MS, Failed, known, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
@@ -49,20 +50,22 @@ def _is_over(state: State) -> bool:
     return state.group_state is GroupState.ERROR_STOP and not any(state.valves)
 
 
-def _silent_ms(seen: list[Watched], sent_ns: int) -> list[tuple[float, Watched]]:
-    return [((each.scan_ns - sent_ns) / MS, each) for each in seen]
+def _until_over(watch: StateWatch, sent_ns: int, most_ms: float) -> list[tuple[float, Watched]]:
+    """STATEs until silence has stopped the arm, with the ms since ``sent_ns``."""
+    seen = [((each.scan_ns - sent_ns) / MS, each) for each in watch.during(most_ms, until=_is_over)]
+    last = seen[-1][1].state
+    require(_is_over(last), f"the arm was not stopped within {most_ms:g} ms of silence")
+    require(last.fault is FaultCode.REFERENCE_STALE, f"fault {last.fault.name}")
+    return seen
 
 
 @case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
 def silence_stops(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
-    assert peer.welcome is not None
     cycle_ms = peer.welcome.cycle_ns / MS
     sent_ns = given(stream, goal)
-    seen = _silent_ms(watch.during(2000.0, until=_is_over), sent_ns)
+    seen = _until_over(watch, sent_ns, 2000.0)
     after, last = seen[-1]
-    require(_is_over(last.state), "the arm was not stopped within 2 s of silence")
-    require(last.state.fault is FaultCode.REFERENCE_STALE, f"fault {last.state.fault.name}")
     require(not last.state.flags & FLAG_STREAMING, "the flag STREAMING is still set")
     uncertain = watch.uncertainty_ms
     require(after < SILENCE_MS + LATE_MS + uncertain, f"centred only {after:.1f} ms after the last reference")
@@ -96,12 +99,10 @@ def first_reference(peer: Peer) -> None:
     sent_ns = peer.now_ns
     opened_stream(peer)
     at = peer.state().X_BT_cmd
-    seen = _silent_ms(watch.during(2 * FIRST_REFERENCE_MS, until=_is_over), sent_ns)
+    seen = _until_over(watch, sent_ns, 2 * FIRST_REFERENCE_MS)
     for _, each in seen[:-1]:
         require(each.state.X_BT_cmd == at, "the commanded pose moves without a reference")
-    after, last = seen[-1]
-    require(_is_over(last.state), f"it still waits after {after:.0f} ms")
-    require(last.state.fault is FaultCode.REFERENCE_STALE, f"fault {last.state.fault.name}")
+    after = seen[-1][0]
     require(abs(after - FIRST_REFERENCE_MS) < 30.0, f"it waited for {after:.0f} ms")
 
 
@@ -110,14 +111,11 @@ def session_ends(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
     sent_ns = given(stream, goal)
     peer.collect(FEED_MS)
-    peer.leave()
-    peer.open(capabilities=BOTH, period_ms=0)
-    seen = _silent_ms(watch.during(2000.0, until=_is_over), sent_ns)
-    after, last = seen[-1]
-    require(_is_over(last.state), "the arm was not stopped within 2 s")
+    peer.reopen(capabilities=BOTH, period_ms=0)
+    seen = _until_over(watch, sent_ns, 2000.0)
+    after = seen[-1][0]
     late = SILENCE_MS + LATE_MS + watch.uncertainty_ms
     require(len(seen) == 1 or after < late, f"centred only {after:.1f} ms after the last reference")
-    require(last.state.fault is FaultCode.REFERENCE_STALE, f"fault {last.state.fault.name}")
 
 
 @case(587, "12.10", "END_STREAM before any reference rests where it is, and the motion is done")
@@ -156,16 +154,12 @@ def verdict(stream: Stream, pose: Pose, **more: Any) -> StreamRefused | None:
     peer, number = stream.peer, more.get("number", stream.number)
     shown_before = number == (stream.number - 1) % NUMBERS
     stream.give(pose, **more)
-    until_ns = peer.now_ns + 300 * MS
-    while peer.now_ns < until_ns:
-        datagram = peer.receive(50.0)
-        message = datagram.message if datagram else None
+    for _, message in peer.arriving(300):
         if isinstance(message, StreamRefused) and message.number == number:
             return message
         if isinstance(message, State) and message.stream_number == number and not shown_before:
             return None
-    require(False, f"reference {number} is neither followed nor refused")
-    raise AssertionError
+    raise Failed(f"reference {number} is neither followed nor refused")
 
 
 def _require_sides(got: StreamRefused, reason: Reason, asked: float, most: float, what: str) -> float:
@@ -195,48 +189,39 @@ def order(peer: Peer) -> None:
         fields: dict[str, Any] = {}
         for _, more in reversed(spoilt[first:]):
             fields |= more
-        got = verdict(stream, fields.pop("X_BT_ref"), **fields)
-        require(got is not None, f"what should be {reason.name} is followed")
-        assert got is not None
+        followed_why = f"what should be {reason.name} is followed"
+        got = known(verdict(stream, fields.pop("X_BT_ref"), **fields), followed_why)
         require(got.reason is reason, f"what should be {reason.name} first is {got.reason.name}")
         stream.feed(here, LIMITS_FEED_MS)
         spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+
+
+def _require_bound(
+    stream: Stream, here: Pose, there: Callable[[float], Pose], far: float, most: float, what: str
+) -> None:
+    """Both sides of the limit of how far ``there`` may be from the commanded pose."""
+    limit = _require_sides(_refusal_of(stream, there(far)), Reason.TOO_FAR, far, most, what)
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(_refusal_of(stream, there(beyond)), Reason.TOO_FAR, beyond, most, what)
+    inside = verdict(stream, there(limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, f"{what} within its limit is TOO_FAR")
+    stream.feed(here, LIMITS_FEED_MS)
 
 
 @case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
 def distance(peer: Peer) -> None:
     stream, here = resting_stream(peer)
-    limit = _require_sides(
-        _refusal_of(stream, moved(here, dz=100.0)), Reason.TOO_FAR, 100.0, DISTANCE_M, "a distance"
-    )
-    beyond = limit * (1.0 + SIDE)
-    _require_sides(
-        _refusal_of(stream, moved(here, dx=-beyond)), Reason.TOO_FAR, beyond, DISTANCE_M, "a distance"
-    )
-    inside = verdict(stream, moved(here, dx=-limit * (1.0 - SIDE)))
-    require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
-    stream.feed(here, LIMITS_FEED_MS)
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    _require_bound(stream, here, lambda far: moved(here, dx=-far), 100.0, DISTANCE_M, "a distance")
 
 
 def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
-    got = verdict(stream, pose, **more)
-    require(got is not None, "it is followed although it is beyond the limit")
-    assert got is not None
-    return got
+    return known(verdict(stream, pose, **more), "it is followed although it is beyond the limit")
 
 
 @case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
 def angle(peer: Peer) -> None:
     stream, here = resting_stream(peer)
-    limit = _require_sides(_refusal_of(stream, turned(here, 2.0)), Reason.TOO_FAR, 2.0, TURN_RAD, "an angle")
-    beyond = limit * (1.0 + SIDE)
-    _require_sides(_refusal_of(stream, turned(here, beyond)), Reason.TOO_FAR, beyond, TURN_RAD, "an angle")
-    inside = verdict(stream, turned(here, limit * (1.0 - SIDE)))
-    require(inside is None or inside.reason is not Reason.TOO_FAR, "within its limit it is TOO_FAR")
-    stream.feed(here, LIMITS_FEED_MS)
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    _require_bound(stream, here, lambda far: turned(here, far), 2.0, TURN_RAD, "an angle")
 
 
 @case(583, "12.4", "its own speed, each axis: both sides of its limit")
@@ -256,7 +241,6 @@ def speed(peer: Peer) -> None:
         inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
         require(inside is None, f"axis {axis}: refused within its limit: {inside}")
         stream.feed(here, LIMITS_FEED_MS)
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
 @case(584, "12.6", "the age of the measurement: both sides of its limit")
@@ -274,10 +258,8 @@ def age(peer: Peer) -> None:
             require(fits, f"its age is said to be {said_ms:.2f} ms: it is {ms:.2f} to {most_ms:.2f}")
         return got
 
-    got = aged(10_000.0)
-    require(got is not None, "10 s old, and followed")
-    assert got is not None
-    limit_ms = 1e3 * _require_sides(got, Reason.STALE, 10.0, AGE_MS * 1e-3, "an age")
+    oldest = known(aged(10_000.0), "10 s old, and followed")
+    limit_ms = 1e3 * _require_sides(oldest, Reason.STALE, 10.0, AGE_MS * 1e-3, "an age")
     for nth, ms in enumerate((limit_ms + 2.0, *[limit_ms * 1.5] * 3)):
         peer.collect(1.3 * nth)  # whenever the next scan is
         got = aged(ms)
@@ -285,4 +267,3 @@ def age(peer: Peer) -> None:
     stream.feed(here, LIMITS_FEED_MS)
     got = aged(limit_ms - AGE_SIDE_MS)
     require(got is None, f"{AGE_SIDE_MS:g} ms within its limit, and refused: {got}")
-    require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")

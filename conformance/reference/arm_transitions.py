@@ -9,9 +9,9 @@ from typing import NamedTuple
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.motion import STEP_M, disabled, enabled, expect_reason, moved, require_reason
-from conformance.reference.streaming import BOTH, Stream
-from conformance.wire import ANSWER_MS, MS, Failed, Unsupported, require
+from conformance.reference.motion import STEP_M, accepted, disabled, enabled, moved, require_reason
+from conformance.reference.streaming import BOTH, Stream, opened_stream
+from conformance.wire import ANSWER_MS, Failed, Unsupported, require
 from protocol.axes_group import ANSWERS, GROUP_STATE, Asked, Mode, Transition
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
@@ -19,7 +19,6 @@ from protocol.reference_messages import (
     CAPABILITY_STREAMING,
     FLAG_EMERGENCY_LATCHED,
     FLAG_STREAMING,
-    Command,
     ReferencePose,
     State,
     StreamRefused,
@@ -56,20 +55,9 @@ def _standby(peer: Peer) -> ReachedMode:
 
 def _moving(peer: Peer) -> ReachedMode:
     scene = _standby(peer)
-    answer = peer.ask(ReferencePose(peer.new_id(), scene.goal, MOTION_S), "a motion of 20 mm")
-    expect_reason(answer, Reason.ACCEPTED, "a motion of 20 mm")
+    accepted(peer, ReferencePose(peer.new_id(), scene.goal, MOTION_S), "a motion of 20 mm")
     peer.collect(UNDER_WAY_MS)
     return scene
-
-
-def opened_stream(peer: Peer) -> Stream:
-    """A new stream, in STANDBY. Raises Unsupported when streaming is not granted."""
-    assert peer.welcome is not None
-    if peer.welcome.capabilities & BOTH != BOTH:
-        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
-    request = Command(peer.new_id(), CommandCode.START_STREAM)
-    expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")
-    return Stream(peer, request.command_id)
 
 
 def _streaming(peer: Peer) -> ReachedMode:
@@ -92,8 +80,7 @@ def _after(way: Callable[[Peer], ReachedMode], *codes: CommandCode) -> Callable[
 def _error_ramp(peer: Peer) -> ReachedMode:
     """The session of a motion ends, which is a loss of its link (7.5); the next one finds the ramp."""
     scene = _moving(peer)
-    peer.leave()
-    peer.open(capabilities=BOTH, period_ms=0)
+    peer.reopen(capabilities=BOTH, period_ms=0)
     return scene
 
 
@@ -182,10 +169,7 @@ def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
     stream = scene.stream or Stream(peer, peer.new_id())
     number = stream.number
     stream.give(scene.goal)
-    until_ns = peer.now_ns + ANSWER_MS * MS
-    while peer.now_ns < until_ns:
-        datagram = peer.receive(ANSWER_MS)
-        message = datagram.message if datagram else None
+    for _, message in peer.arriving(ANSWER_MS):
         if isinstance(message, StreamRefused) and message.number == number:
             return message.reason
         if isinstance(message, State) and scene.stream is not None and message.stream_number == number:
@@ -196,7 +180,6 @@ def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
 def ask_cell(peer: Peer, mode: Mode, asked: Asked, step: Transition) -> None:
     """Asks once; raises Failed unless the answer and the next mode are those of ``step``."""
     scene = entered(peer, mode)
-    assert peer.welcome is not None
     if asked in _OF_STREAMS and not peer.welcome.capabilities & CAPABILITY_STREAMING:
         raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     before = peer.state()

@@ -1,15 +1,16 @@
 """Cases 240…, 248…: what is dropped has no effect, whatever its kind and the cause (clauses 3.5 and 5.4)."""
 
 from collections.abc import Callable, Iterator
-from itertools import chain
+from itertools import chain, cycle
 
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY
 from conformance.reference.datagram_refusals import MAGIC_BIT
-from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
-from conformance.reference.handshake import SLACK_MS, granted
-from conformance.wire import MS, SEQUENCES, Failed, require, resealed, with_bit_flipped
+from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used_next
+from conformance.reference.handshake import granted, require_ended
+from conformance.reference.sessions import SLACK_MS, dies_of_silence
+from conformance.wire import MS, SEQUENCES, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
 from protocol.datagram import Header, encode
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, Kind, offsets, size_of
@@ -68,7 +69,6 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
     yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
     hello = Hello(peer.nonce(), 1 | peer.required, 0, 50)
-    assert peer.welcome is not None
     another_arm = hello._replace(arm_hash=peer.welcome.arm_hash ^ 1 or 2)
     yield "that is HELLO for another arm", peer, lambda: peer.encoded(another_arm, session=0)
     yield "that is HELLO from another port", other, lambda: peer.encoded(hello, session=0)
@@ -86,9 +86,10 @@ def _flags(data: bytes) -> int:
     return int.from_bytes(data[FLAGS : FLAGS + 2], "little")
 
 
-@case(240, "3.5", "what is dropped before its number is looked at moves neither the count nor the age")
+@case(
+    240, "3.5", "what is dropped before its number is looked at moves neither the count nor the age", opens=50
+)
 def drops_move_nothing(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     peer.alive("before anything was dropped")
     for what, source, data in dropped(peer, other):
@@ -100,39 +101,20 @@ def drops_move_nothing(peer: Peer) -> None:
         peer.sequence = before
         source.send_raw(bent)
         peer.collect(10)
-        request = stop(peer)
-        used(peer, peer.encoded(request), request.command_id, f"a request after a datagram {what}")
+        used_next(peer, f"a request after a datagram {what}")
 
 
-@case(241, "5.4", f"what is dropped is no sign of life and has no answer (slack {SLACK_MS} ms)")
+@case(241, "5.4", f"what is dropped is no sign of life and has no answer (slack {SLACK_MS} ms)", opens=20)
 def drops_are_not_life(peer: Peer) -> None:
-    timeout_ms = peer.open(period_ms=20).link_timeout_ms
     other = peer.second()
-    session, sequence = peer.session, peer.sequence
-    last_ns = peer.now_ns
-    peer.send(Heartbeat(last_ns), sent_ns=last_ns)
-    ways = list(dropped(peer, other))
-    until_ns = last_ns + (timeout_ms + 1000) * MS
-    while peer.now_ns < until_ns:
-        for what, source, data in ways:
-            sequence = peer.sequence
-            source.send_raw(data())
-            peer.sequence = sequence
-            datagram = peer.receive(2.0, beating=False)
-            while datagram is not None:
-                message = datagram.message
-                if message == Bye(Reason.LINK_TIMEOUT):
-                    waited_ms = (peer.now_ns - last_ns) / MS
-                    require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
-                    peer.session = 0
-                    return
-                beaten = isinstance(message, HeartbeatReply) and message.sent_ns != last_ns
-                require(not beaten, f"a heartbeat was answered, about: {what}")
-                require(not isinstance(message, Welcome), f"WELCOME came, about: {what}")
-                datagram = peer.receive(0.0, beating=False)
-        got = [type(d.message) for d in other.collect(1.0, beating=False)]
-        require(HeartbeatReply not in got, "a heartbeat from another port was answered there")
-    raise Failed(f"session {session:x} lived on datagrams that are to be dropped")
+    ways = cycle([*dropped(peer, other)])
+
+    def send(_waited_ms: float) -> None:
+        _, source, data = next(ways)
+        peer.send_beside(source, data)
+
+    dies_of_silence(peer, "datagrams that are to be dropped", send)
+    other.require_came([], 1.0, "a heartbeat from another port was answered there", of=HeartbeatReply)
 
 
 def messages_of_a_client(peer: Peer) -> list[Message]:
@@ -199,9 +181,8 @@ def every_kind_alike(peer: Peer) -> None:
         peer.alive(f"after bent datagrams with {name}")
 
 
-@case(249, "3.5", "BYE that is no datagram, or of another version, session or port, ends nothing")
+@case(249, "3.5", "BYE that is no datagram, or of another version, session or port, ends nothing", opens=50)
 def bent_bye(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     unknown = peer.with_number(peer.encoded(Bye(Reason.SHUTDOWN)), HEADER_BYTES, "I", 9999)
     for data in chain(bent_in_form(peer, Bye(Reason.SHUTDOWN)), (unknown,)):
@@ -211,15 +192,17 @@ def bent_bye(peer: Peer) -> None:
     peer.alive("after a BYE from another port")
 
 
-@case(251, "3.5", "what is dropped begins no session: that in use goes on beside the one that is granted")
+@case(
+    251,
+    "3.5",
+    "what is dropped begins no session: that in use goes on beside the one that is granted",
+    opens=50,
+)
 def drops_begin_nothing(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     for what, source, data in dropped(peer, other):
         granted(peer)
-        sequence = peer.sequence
-        source.send_raw(data())
-        peer.sequence = sequence
+        peer.send_beside(source, data)
         peer.collect(5)
         peer.alive(f"beside a grant, after a datagram {what}")
 
@@ -232,10 +215,7 @@ def dirty_padding(peer: Peer) -> None:
         require(len(used) == 1, f"{type(message).__name__}, its padding not zero: came {used}")
     session = peer.session
     peer.send_raw(_with_dirty_padding(peer, peer.encoded(Bye(Reason.SHUTDOWN))))
-    peer.session = 0
-    peer.collect(RATION_MS, beating=False)
-    peer.send(stop(peer), session=session)
-    peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE, its padding not zero")
+    require_ended(peer, session, "a request after BYE, its padding not zero")
     peer.collect(RATION_MS, beating=False)
     greeting = peer.encoded(Hello(peer.nonce(), 1 | peer.required, 0, 50), session=0)
     peer.send_raw(_with_dirty_padding(peer, greeting))
@@ -280,21 +260,13 @@ def disorder_is_nothing(peer: Peer) -> None:
         require(not came, f"a heartbeat {what} was answered: {came}")
         peer.ask(stop(peer), f"a request of the session in use, after a heartbeat {what}")
     peer.sequence += GAP
-    begin_ns = peer.now_ns
-    peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
-    while peer.now_ns < begin_ns + (timeout_ms + 1000) * MS:
-        waited_ms = (peer.now_ns - begin_ns) / MS
-        late = max(
-            1, GAP - int(GAP * waited_ms / (timeout_ms + SLACK_MS))
-        )  # one after the other, each once late
-        for _, data in disordered(peer, late):
+
+    def send(waited_ms: float) -> None:
+        late = GAP - int(GAP * waited_ms / (timeout_ms + SLACK_MS))  # one after the other, each once late
+        for _, data in disordered(peer, max(1, late)):
             peer.send_raw(data(peer.now_ns))
-        if Bye(Reason.LINK_TIMEOUT) in [d.message for d in peer.collect(4, beating=False)]:
-            peer.session = 0
-            waited_ms = (peer.now_ns - begin_ns) / MS
-            require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
-            return
-    raise Failed("the session lived on datagrams that came in no order")
+
+    dies_of_silence(peer, "datagrams that came in no order", send)
 
 
 @case(
@@ -302,29 +274,13 @@ def disorder_is_nothing(peer: Peer) -> None:
 )
 def replayed_beside_a_session(peer: Peer) -> None:
     nonce = peer.nonce()
-    timeout_ms = peer.open(nonce=nonce).link_timeout_ms
-    peer.leave()
-    peer.open(period_ms=20)
+    peer.open(nonce=nonce)
+    peer.reopen(period_ms=20)
     message = Hello(nonce, 1 | peer.required, 0, 50)
     granted(peer)
     peer.alive("beside a grant")
-    before = peer.state()
-    sequence = peer.sequence
-    peer.sequence += 1000
-    peer.send(message, session=0, sent_ns=peer.now_ns + 10_000 * MS)
-    peer.sequence = sequence
+    before, ahead = peer.tallies(), peer.sequence + 1000
+    peer.send(message, session=0, sequence=ahead, sent_ns=peer.now_ns + 10_000 * MS)
     peer.alive("beside a grant, after a HELLO of an earlier session")
-    after = peer.state()
-    gone = after.references_dropped - before.references_dropped
-    lost = after.references_lost - before.references_lost
-    require((gone, lost) == (1, 0), f"{gone} dropped and {lost} lost of one")
-    begin_ns = peer.now_ns
-    peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
-    while peer.now_ns < begin_ns + (timeout_ms + 1000) * MS:
-        peer.send(message, session=0)
-        if Bye(Reason.LINK_TIMEOUT) in [d.message for d in peer.collect(4, beating=False)]:
-            peer.session = 0
-            waited_ms = (peer.now_ns - begin_ns) / MS
-            require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
-            return
-    raise Failed("the session lived on a HELLO of an earlier one")
+    peer.require_counted(before, "a HELLO of an earlier session", lost=0, dropped=1)
+    dies_of_silence(peer, "a HELLO of an earlier one", lambda _: peer.send(message, session=0))

@@ -6,6 +6,7 @@ from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, refused, stop
+from conformance.reference.handshake import require_ended
 from conformance.reference.sessions import hello, welcomes
 from conformance.wire import MS, Unsupported, require, resealed, with_bit_flipped
 from protocol.datagram import Header, encode
@@ -17,6 +18,7 @@ from protocol.reference_messages import (
     Bye,
     HeartbeatReply,
     Hello,
+    Message,
     State,
     StreamedPose,
     Welcome,
@@ -24,10 +26,9 @@ from protocol.reference_messages import (
 
 case = reference.case
 MAGIC_BIT = 5
-STRANGERS_MS = 600
 
 
-@case(141, "3.2", "REFERENCE_PATH with a bit flipped in any of its bytes is dropped")
+@case(141, "3.2", "REFERENCE_PATH with a bit flipped in any of its bytes is dropped", opens=50)
 def flipped_path(peer: Peer) -> None:
     data = a_path(peer)
     refused(peer, [with_bit_flipped(data, bit) for bit in range(0, 8 * len(data), 29)], "a flipped bit")
@@ -46,10 +47,9 @@ def flipped_stream(peer: Peer) -> None:
     data = peer.encoded(StreamedPose(peer.new_id(), 1, peer.now_ns, IDENTITY))
     for bit in range(0, 8 * len(data), 5):
         peer.send_raw(with_bit_flipped(data, bit))
-    got = [d.message for d in peer.collect(peer.grace_ms)]
     # A flipped bit of the major version is answered, whatever the CRC (3.5).
-    got = [m for m in got if not isinstance(m, HeartbeatReply | State | Bye)]
-    require(not got, f"a flipped bit: came {got[:3]}")
+    but = HeartbeatReply | State | Bye
+    peer.require_came([], peer.grace_ms, "a flipped bit", but=but, beating=True)
     peer.alive("after streamed poses with flipped bits")
 
 
@@ -69,9 +69,8 @@ def major_first(peer: Peer) -> None:
     ):
         peer.collect(RATION_MS, beating=False)
         peer.send_raw(bent)
-        got = [d.message for d in peer.collect(40 if not answered else RATION_MS, beating=False)]
-        expected = [Bye(Reason.INCOMPATIBLE_VERSION)] if answered else []
-        require(got == expected, f"another major version and {what}: came {got}")
+        expected: list[Message] = [Bye(Reason.INCOMPATIBLE_VERSION)] if answered else []
+        peer.require_came(expected, RATION_MS if answered else 40, f"another major version and {what}")
 
 
 def bent_requests(peer: Peer, session: int) -> Iterator[tuple[str, bytes]]:
@@ -92,8 +91,7 @@ def form_before_session(peer: Peer) -> None:
     peer.collect(RATION_MS, beating=False)
     for what, data in bent_requests(peer, 0x1234):
         peer.send_raw(data)
-        got = peer.collect(20, beating=False)
-        require(not got, f"{what}, of an unknown session: came {[d.message for d in got]}")
+        peer.require_came([], 20, f"{what}, of an unknown session")
     peer.send(stop(peer), session=0x1234)
     peer.expect_bye(Reason.UNKNOWN_SESSION, "a sound request of an unknown session")
 
@@ -125,23 +123,25 @@ def every_bit_of_the_arm(peer: Peer) -> None:
     require(Bye(Reason.WRONG_ARM) in got, f"came {got}")
 
 
+def require_greeted(peer: Peer, what: str, source: Peer, data: bytes, wanted: list[Message]) -> None:
+    """Require these answers to a HELLO from ``source``, beside the session of ``peer``."""
+    peer.collect(RATION_MS)
+    source.drain()
+    source.send_raw(data)
+    source.require_came(wanted, 40, what, of=Bye | Welcome)
+
+
 @case(243, "3.5", "HELLO is judged in order: in a session, replayed, another arm, another source")
 def hello_in_order(peer: Peer) -> None:
     nonce = peer.nonce()
     wrong = peer.open(nonce=nonce).arm_hash ^ 1 or 2
-    peer.leave()
-    peer.open()
+    peer.reopen()
     other = peer.second()
 
-    def asked(what: str, source: Peer, message: Hello, wanted: list[Bye], session: int = 0) -> None:
-        peer.collect(RATION_MS)
-        source.drain()
-        header = Header(session, source.sequence + 1, source.now_ns)
+    def asked(what: str, source: Peer, message: Hello, wanted: list[Message], session: int = 0) -> None:
         source.sequence += 1
-        source.send_raw(encode(message, header, peer.link_key.of_hello() if peer.link_key else None))
-        got = [d.message for d in source.collect(40, beating=False)]
-        got = [m for m in got if isinstance(m, Bye | Welcome)]
-        require(got == wanted, f"{what}: came {got}, wanted {wanted}")
+        data = encode(message, Header(session, source.sequence, source.now_ns), peer.hello_key)
+        require_greeted(peer, what, source, data, wanted)
 
     def hello_of(nonce: int, arm_hash: int) -> Hello:
         return Hello(nonce, 1 | peer.required, arm_hash, 50)
@@ -168,15 +168,11 @@ def bye_is_not_checked(peer: Peer) -> None:
         peer.alive("before BYE")
         session, arrived = peer.session, peer.sequence
         peer.send(Bye(Reason.SHUTDOWN), sequence=arrived - behind, sent_ns=peer.now_ns - age_ms * MS)
-        peer.session = 0
-        peer.collect(RATION_MS, beating=False)
-        peer.send(stop(peer), session=session)
-        peer.expect_bye(Reason.UNKNOWN_SESSION, f"a request after a BYE that was {what}")
+        require_ended(peer, session, f"a request after a BYE that was {what}")
 
 
-@case(245, "4.4", "BYE of another session, port or version ends nothing")
+@case(245, "4.4", "BYE of another session, port or version ends nothing", opens=50)
 def bye_of_others(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     for what, source, header in (
         ("session", peer, {"session": peer.session ^ 1}),

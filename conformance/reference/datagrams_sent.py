@@ -7,16 +7,17 @@ from conformance.noted import Always
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.arm_transitions import entered
-from conformance.reference.authentication import OTHER_KEY, opened, signed
+from conformance.reference.authentication import OTHER_KEY, signed
 from conformance.reference.authentication import case as key_case
+from conformance.reference.datagram_refusals import require_greeted
 from conformance.reference.framing import MAJOR, refused, stop
 from conformance.reference.handshake import granted, require_begun
-from conformance.reference.order import WINDOW, tallies
+from conformance.reference.order import WINDOW, require_window
 from conformance.reference.streaming import Stream
-from conformance.wire import ANSWER_MS, MS, require, resealed, with_bit_flipped
+from conformance.wire import ANSWER_MS, MS, known, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
 from protocol.axes_group import Mode
-from protocol.datagram import Datagram, Header, decode, encode
+from protocol.datagram import Header, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
     TRAILER_BYTES,
@@ -28,13 +29,13 @@ from protocol.reference_messages import (
     Heartbeat,
     HeartbeatReply,
     Hello,
+    Message,
     ReferencePose,
     State,
     Welcome,
 )
 
 case = reference.case
-KIND, FLAGS = 6, 8
 SESSIONS = 8
 # Two of a few dozen sound session numbers are nearer to one another once in 10^8 runs.
 LEAST_BITS = 8
@@ -54,11 +55,8 @@ def bye_header(peer: Peer) -> None:
     ):
         peer.collect(RATION_MS)
         stranger.send_raw(data)
-        datagram = stranger.receive(ANSWER_MS, beating=False)
-        require(datagram is not None, f"{what}: no answer")
-        assert datagram is not None
-        header = datagram.header
-        require(isinstance(datagram.message, Bye), f"{what}: {datagram.message}")
+        header, message = known(stranger.receive(ANSWER_MS, beating=False), f"{what}: no answer")
+        require(isinstance(message, Bye), f"{what}: {message}")
         require(header.session == session, f"{what}: BYE in session {header.session:#x}")
         require(header.sequence == 0, f"{what}: BYE has sequence {header.sequence}")
 
@@ -101,9 +99,13 @@ def unguessable(peer: Peer) -> None:
     require(len(set(steps)) == len(steps), "one step leads from session to session")
 
 
-@case(138, "1.7", "heartbeats, headers and STATE are of one clock: their least transits agree within 1 ms")
+@case(
+    138,
+    "1.7",
+    "heartbeats, headers and STATE are of one clock: their least transits agree within 1 ms",
+    opens=0,
+)
 def one_clock(peer: Peer) -> None:
-    peer.open(period_ms=0)
     peer.drain()
     least: dict[str, int] = {}
 
@@ -125,30 +127,23 @@ def one_clock(peer: Peer) -> None:
         require(abs(off_ms) < 1.0, f"{what} is {off_ms:.2f} ms off the clock of replied_ns")
 
 
-def _receive_all(peer: Peer) -> list[Datagram]:
-    return [decode(line.data) for line in peer.transcript if line.direction == "receive"]
-
-
-@key_case(723, "11.7", "63 behind the newest number a late one is taken off the losses, 64 behind it is not")
+@key_case(
+    723,
+    "11.7",
+    "63 behind the newest number a late one is taken off the losses, 64 behind it is not",
+    opens=20,
+)
 def window(peer: Peer) -> None:
-    opened(peer, period_ms=20)
-    lost, gone = tallies(peer)
-    for behind, taken_off in ((WINDOW - 1, 1), (WINDOW, 0), (WINDOW + 1, 0), (1, 1)):
-        peer.sequence += 99
-        peer.alive("behind a gap of 99")
-        peer.send(stop(peer), sequence=peer.sequence - behind)
-        require(not peer.answers(f"a request {behind} behind"), f"a request {behind} behind was used")
-        now_lost, now_gone = tallies(peer)
-        require(now_lost - lost == 99 - taken_off, f"{behind} behind: {now_lost - lost} lost of a gap of 99")
-        require(now_gone - gone == 1, f"{behind} behind: {now_gone - gone} dropped")
-        lost, gone = now_lost, now_gone
+    require_window(peer, ((WINDOW - 1, 1), (WINDOW, 0), (WINDOW + 1, 0), (1, 1)))
 
 
 @key_case(
-    724, "11.4", "a wrong key_id under a right tag is refused: UNKNOWN_KEY to HELLO, no answer to others"
+    724,
+    "11.4",
+    "a wrong key_id under a right tag is refused: UNKNOWN_KEY to HELLO, no answer to others",
+    opens=50,
 )
 def wrong_key_id(peer: Peer) -> None:
-    opened(peer)
     data = peer.encoded(stop(peer))
     for bit in range(32):
         at = len(data) - TRAILER_BYTES + 4
@@ -158,8 +153,8 @@ def wrong_key_id(peer: Peer) -> None:
     data = peer.encoded(Hello(peer.nonce(), peer.required | 1, 0, 50), session=0)
     flipped = with_bit_flipped(data, 8 * (len(data) - TRAILER_BYTES + 4) + 31)
     peer.send_raw(peer.resealed(flipped))
-    got = [d.message for d in peer.collect(100, beating=False) if isinstance(d.message, Bye | Welcome)]
-    require(got == [Bye(Reason.UNKNOWN_KEY)], f"HELLO with another key_id: came {got}")
+    unknown: list[Message] = [Bye(Reason.UNKNOWN_KEY)]
+    peer.require_came(unknown, 100, "HELLO with another key_id", of=Bye | Welcome)
 
 
 @key_case(
@@ -167,19 +162,13 @@ def wrong_key_id(peer: Peer) -> None:
 )
 def key_before_all_else(peer: Peer) -> None:
     nonce = peer.nonce()
-    wrong = opened(peer, nonce=nonce).arm_hash ^ 1 or 2
-    peer.leave()
-    opened(peer)
+    wrong = peer.open(nonce=nonce).arm_hash ^ 1 or 2
+    peer.reopen()
     other = peer.second()
     session_key = peer.keys_of(peer.session).sends
 
-    def asked(what: str, source: Peer, data: bytes, wanted: list[Bye]) -> None:
-        peer.collect(RATION_MS)
-        source.drain()
-        source.send_raw(data)
-        got = [d.message for d in source.collect(40, beating=False)]
-        got = [m for m in got if isinstance(m, Bye | Welcome)]
-        require(got == wanted, f"{what}: came {got}, wanted {wanted}")
+    def asked(what: str, source: Peer, data: bytes, wanted: list[Message]) -> None:
+        require_greeted(peer, what, source, data, wanted)
 
     def hello(key: DirectionKey | None, arm_hash: int = 0, session: int = 0, number: int = 0) -> bytes:
         message = Hello(number or peer.nonce(), peer.required | 1, arm_hash, 50)
@@ -190,7 +179,7 @@ def key_before_all_else(peer: Peer) -> None:
         (OTHER_KEY.of_hello(), Reason.UNKNOWN_KEY),
         (session_key, Reason.BAD_TAG),
     ):
-        told = [Bye(reason)]
+        told: list[Message] = [Bye(reason)]
         asked(f"{reason.name}, in a session", peer, hello(key, session=peer.session), told)
         asked(f"{reason.name}, replayed", peer, hello(key, number=nonce), told)
         asked(f"{reason.name}, another arm", peer, hello(key, wrong), told)
@@ -200,14 +189,14 @@ def key_before_all_else(peer: Peer) -> None:
     peer.alive("after these")
 
 
-@key_case(726, "11.10", "an unsigned, replayed or forged datagram moves neither count, age nor losses")
+@key_case(
+    726, "11.10", "an unsigned, replayed or forged datagram moves neither count, age nor losses", opens=20
+)
 def nothing_moves(peer: Peer) -> None:
-    opened(peer, period_ms=20)
     peer.alive("before")
-    assert peer.link_key is not None
     replay = peer.send(Heartbeat(1))
-    lost, gone = tallies(peer)
-    keys = (None, peer.link_key.of_hello(), OTHER_KEY.of_hello(), peer.keys_of(peer.session).receives)
+    counted = peer.tallies()
+    keys = (None, peer.hello_key, OTHER_KEY.of_hello(), peer.keys_of(peer.session).receives)
     for n, key in enumerate(keys):
         before = peer.sequence
         peer.sequence += 1000
@@ -215,27 +204,24 @@ def nothing_moves(peer: Peer) -> None:
         peer.sequence = before
         peer.send_raw(replay)
         peer.alive(f"after forgery {n}")
-    now_lost, now_gone = tallies(peer)
-    require(now_lost == lost, f"{now_lost - lost} count as lost")
-    require(now_gone - gone == 2 * len(keys), f"{now_gone - gone} dropped of {2 * len(keys)}")
+    peer.require_counted(counted, "after forgeries and replays", lost=0, dropped=2 * len(keys))
 
 
-@key_case(727, "11.7", "HELLO's number is the client's first: what is skipped behind it counts as lost")
+@key_case(
+    727, "11.7", "HELLO's number is the client's first: what is skipped behind it counts as lost", opens=20
+)
 def first_number_of_a_session(peer: Peer) -> None:
-    opened(peer, period_ms=20)
-    lost, _ = tallies(peer)
+    before = peer.tallies()
     peer.leave()
     peer.sequence = 2**40 + 7
     session = granted(peer, period_ms=20)
     peer.sequence += 3
     require_begun(peer, session, "behind a gap of 3")
-    now_lost, _ = tallies(peer)
-    require(now_lost - lost == 3, f"{now_lost - lost} lost of a gap of 3")
+    peer.require_counted(before, "a gap of 3", lost=3)
 
 
-@key_case(728, "11.7", "a number whose upper half alone is newer is a leap, and not used")
+@key_case(728, "11.7", "a number whose upper half alone is newer is a leap, and not used", opens=50)
 def upper_half(peer: Peer) -> None:
-    opened(peer)
     key = peer.keys_of(peer.session).sends
     number = peer.sequence + 2**32 + 1
     data = encode(stop(peer), Header(peer.session, number, peer.now_ns, minor=peer.minor), key)
@@ -243,27 +229,25 @@ def upper_half(peer: Peer) -> None:
     peer.ask(stop(peer), "the next number")
 
 
-@key_case(729, "11.3", "payload_bytes does not count the trailer: with it counted, a datagram is dropped")
+@key_case(
+    729, "11.3", "payload_bytes does not count the trailer: with it counted, a datagram is dropped", opens=50
+)
 def trailer_is_not_payload(peer: Peer) -> None:
-    opened(peer)
     data = peer.encoded(stop(peer))
     counted = peer.with_number(data, 10, "H", len(data) - HEADER_BYTES)
     short = peer.with_number(data[:-1], 10, "H", len(data) - HEADER_BYTES - TRAILER_BYTES)
     refused(peer, [counted, short], "a length that counts the trailer, or a trailer cut short")
 
 
-@key_case(730, "11.9", "BYE to those without a session is not signed, and is no BYE of a session")
+@key_case(730, "11.9", "BYE to those without a session is not signed, and is no BYE of a session", opens=20)
 def hints_are_unsigned(peer: Peer) -> None:
-    opened(peer, period_ms=20)
     other = peer.second()
     peer.collect(RATION_MS)
     other.send(Hello(other.nonce(), peer.required | 1, 0, 50), session=0)
-    datagram = other.receive(200, beating=False)
-    require(datagram is not None, "no answer to a second client")
-    assert datagram is not None
-    require(datagram.message == Bye(Reason.SESSION_OCCUPIED), f"came {datagram.message}")
-    require(not datagram.header.flags & 1 << 8, "BYE to a stranger is signed")
-    require(datagram.header.session == 0, "BYE to a stranger names a session")
+    header, message = known(other.receive(200, beating=False), "no answer to a second client")
+    require(message == Bye(Reason.SESSION_OCCUPIED), f"came {message}")
+    require(not header.flags & 1 << 8, "BYE to a stranger is signed")
+    require(header.session == 0, "BYE to a stranger names a session")
     states = [d for d in peer.collect(100) if isinstance(d.message, State)]
     require(bool(states), "the session suffered")
 
@@ -276,7 +260,6 @@ def tour(peer: Peer, modes: tuple[Mode, ...]) -> None:
     """Whatever a controller sends, in each of ``modes``."""
     for mode in modes:
         scene = entered(peer, mode)
-        assert peer.welcome is not None
         again = Hello(peer.welcome.client_nonce, 3 | peer.required, 0, 0)
         (scene.stream or Stream(peer, peer.new_id())).give(scene.here)
         peer.send(again, session=0)

@@ -1,25 +1,26 @@
 """Cases 534…539: what the arm does when a session ends, by BYE or by a restart of its client (7.5)."""
 
-import math
 from collections.abc import Iterable
 
 from conformance.case import reference
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
 from conformance.reference.motion import (
-    DRIFT_M,
+    CENTRED,
     STEP_M,
     disabled,
     expect_reason,
     moved,
+    moving,
     reach,
     reference_reason,
+    require_latched,
     require_reason,
+    require_shown,
     standby,
 )
-from conformance.wire import MS, require
-from protocol.axes_group import Asked, Mode
-from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
+from conformance.wire import MS, Failed, require
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     Acknowledgement,
@@ -36,49 +37,22 @@ case = reference.case
 RAMPED_MS = 3000
 
 
-def moving(peer: Peer) -> State:
-    """A session with a motion of 20 mm in 5 s under way; its STATE."""
-    here = standby(peer).X_BT_cmd
-    expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
-    return reach(peer, GroupState.MOVING, "after a reference")
-
-
 def come_back(peer: Peer, after: str) -> list[GroupState]:
     """Opens another session at once; the group's states from then on, until it has come to rest."""
-    peer.session = 0
     peer.open(period_ms=20)
     seen: list[GroupState] = []
-    until_ns = peer.now_ns + RAMPED_MS * MS
-    while peer.now_ns < until_ns:
-        state = peer.state(f"STATE after {after}")
+    for state in peer.states(RAMPED_MS, f"STATE after {after}"):
         seen.append(state.group_state)
         require(state.group_state is not GroupState.MOVING, f"it goes on moving after {after}")
         if state.group_state is GroupState.DISABLED or state.valves == (0.0,) * 6:
             return seen
-    require(False, f"after {after} the group is {seen[-1].name}, its valves are not centred")
-    return seen
-
-
-def require_latched(peer: Peer, after: str) -> None:
-    """Require a group that has stopped, latched the loss, and does not resume by itself."""
-    state = peer.state()
-    require(state.group_state is GroupState.ERROR_STOP, f"{state.group_state.name} after {after}")
-    require(state.fault is FaultCode.REFERENCE_LINK_LOST, f"fault {state.fault.name} after {after}")
-    require(state.severity is Severity.STOP, f"severity {state.severity.name} after {after}")
-    peer.collect(300)
-    later = peer.state()
-    require(later.valves == (0.0,) * 6, f"valves {later.valves}")
-    drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
-    require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
-    require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
-    require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
-    require(reach(peer, GroupState.DISABLED, "after RESET").fault is FaultCode.NONE, "RESET left a fault")
+    raise Failed(f"after {after} the group is {seen[-1].name}, its valves are not centred")
 
 
 def require_dropped(peer: Peer, after: str) -> None:
     """Require a group that is DISABLED without a fault."""
     state = reach(peer, GroupState.DISABLED, f"after {after}", RAMPED_MS)
-    require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after {after}")
+    require_shown(state, f"after {after}", fault=FaultCode.NONE)
     require_reason(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
 
 
@@ -106,9 +80,8 @@ def hello_in_motion(peer: Peer) -> None:
     for _ in range(3):
         granted(peer)
         peer.collect(50)
-    state = peer.state()
-    require(state.group_state is GroupState.MOVING, f"{state.group_state.name} after HELLO alone")
-    require(state.fault is FaultCode.NONE, f"fault {state.fault.name} after HELLO alone")
+    moves, sound = GroupState.MOVING, FaultCode.NONE
+    require_shown(peer.state(), "after HELLO alone", group_state=moves, fault=sound)
     require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     reach(peer, GroupState.STANDBY, "after STOP")
 
@@ -116,15 +89,13 @@ def hello_in_motion(peer: Peer) -> None:
 @case(537, "7.5", "BYE in STANDBY drops the enable without a fault", motion=True)
 def bye_in_standby(peer: Peer) -> None:
     standby(peer)
-    peer.leave()
-    peer.open(period_ms=20)
+    peer.reopen(period_ms=20)
     require_dropped(peer, "BYE in STANDBY")
 
 
 @case(538, "7.5", "a restart in place in STANDBY drops the enable without a fault", motion=True)
 def restart_in_standby(peer: Peer) -> None:
     standby(peer)
-    peer.session = 0
     peer.open(period_ms=20)
     require_dropped(peer, "a restart in STANDBY")
 
@@ -140,7 +111,6 @@ def bye_while_stopping(peer: Peer) -> None:
     peer.collect(1500)  # to its pace: from there the ramp takes longest
     require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     peer.leave()
-    peer.session = 0
     seen = come_back(peer, "BYE while STOPPING")
     others = set(seen) - {GroupState.STOPPING, GroupState.DISABLED}
     require(not others, f"it was {', '.join(state.name for state in others)} after BYE while STOPPING")
@@ -148,7 +118,6 @@ def bye_while_stopping(peer: Peer) -> None:
 
 
 FLOOD = 2000
-BURSTS = 10
 REPEAT_MS = 20.0
 # A scan, a period of STATE and, most of it, the tester's reading of the answers to the flood.
 LATCHED_MS = 200
@@ -174,8 +143,7 @@ def _latched_state(peer: Peer, behind: str) -> State:
             state = datagram.message
             if isinstance(state, State) and state.flags & FLAG_EMERGENCY_LATCHED:
                 return state
-    require(False, f"EMERGENCY_STOP behind {behind} did nothing within {LATCHED_MS} ms")
-    raise AssertionError
+    raise Failed(f"EMERGENCY_STOP behind {behind} did nothing within {LATCHED_MS} ms")
 
 
 def _answers_until(peer: Peer, request: Request, within_ms: float) -> list[Acknowledgement]:
@@ -187,8 +155,7 @@ def _answers_until(peer: Peer, request: Request, within_ms: float) -> list[Ackno
         answers += [d.message for d in peer.collect(REPEAT_MS) if isinstance(d.message, Acknowledgement)]
         if any(answer.command_id == request.command_id for answer in answers):
             return answers
-    require(False, f"{type(request).__name__} was not answered within {within_ms:g} ms")
-    return answers
+    raise Failed(f"{type(request).__name__} was not answered within {within_ms:g} ms")
 
 
 @case(415, "6.12", f"EMERGENCY_STOP behind {FLOOD} requests takes effect within {LATCHED_MS} ms")
@@ -212,18 +179,6 @@ def overtaken_by_a_stop(peer: Peer) -> None:
         if answer.reason is Reason.OVERTAKEN:
             said = answer.value == answer.command_id and answer.limit > answer.value
             require(said, f"OVERTAKEN says {answer.value:g} and {answer.limit:g}")
-
-
-_AT_REST = (Asked.DISABLE, Asked.STOP, Asked.RESET, Asked.EMERGENCY_STOP, Asked.EMERGENCY_RELEASE)
-_STOPS = (Asked.DISABLE, Asked.STOP, Asked.EMERGENCY_STOP)
-_DONE = (Reason.ACCEPTED, Reason.ALREADY_DONE)
-_TO_DISABLED = (CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE, CommandCode.RESET)
-_FROM_DISABLED: dict[Mode, tuple[CommandCode, ...]] = {
-    Mode.DISABLED: (),
-    Mode.STANDBY: (CommandCode.ENABLE,),
-    Mode.ERROR_HELD: (CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE),
-    Mode.EMERGENCY: (CommandCode.EMERGENCY_STOP,),
-}
 
 
 @case(417, "6.14", f"behind {FLOOD} requests the newest is answered within {WAITING} scans and 200 ms")
@@ -250,5 +205,4 @@ def while_stopping(peer: Peer) -> None:
     require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     _flood(peer, (ReferencePose(peer.new_id(), here, 0.0) for _ in range(20)))
     state = _latched_state(peer, "references, while stopping,")
-    require(state.valves == (0.0,) * 6, f"valves {state.valves}")
-    require(state.group_state is GroupState.ERROR_STOP, state.group_state.name)
+    require_shown(state, "while stopping", valves=CENTRED, group_state=GroupState.ERROR_STOP)

@@ -1,7 +1,10 @@
 """Cases 101…: what is a datagram and what is not (clause 3)."""
 
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from functools import partial
+from random import Random
+from typing import Any
 
 from conformance.case import reference
 from conformance.parts import OptionalPart
@@ -14,14 +17,13 @@ from protocol.reference_messages import (
     Bye,
     Command,
     Hello,
-    Message,
     ReferencePath,
     Welcome,
 )
 
 case = reference.case
 PATHS = OptionalPart.PATHS
-MAJOR, KIND, SPARE, FLAGS = 4, 6, 7, 8
+MAJOR, KIND, FLAGS = 4, 6, 8
 COMMAND_BYTES = 16
 
 
@@ -45,87 +47,130 @@ def used(peer: Peer, data: bytes, command_id: int, what: str) -> None:
     require(answer.reason is Reason.ACCEPTED, f"{what}: answered {answer.reason.name}")
 
 
-def in_a_session(message: Callable[[Peer], Message]) -> Callable[[Peer], bytes]:
-    """Opens a session and seals a message in it."""
-
-    def encoded(peer: Peer) -> bytes:
-        peer.open()
-        return peer.encoded(message(peer))
-
-    return encoded
-
-
-a_stop = in_a_session(stop)
-a_path = in_a_session(lambda peer: ReferencePath(peer.new_id(), (IDENTITY,) * 3, 0.0, 0.0))
-
-
-@case(101, "3.1", "a sound request is answered (the control of the cases below)")
-def sound(peer: Peer) -> None:
-    peer.open()
+def used_next(peer: Peer, what: str, **header: int) -> None:
+    """A sound request is answered; ``header``: fields of it."""
     request = stop(peer)
-    used(peer, peer.encoded(request), request.command_id, "STOP")
+    used(peer, peer.encoded(request, **header), request.command_id, what)
 
 
-@case(102, "3.5", "every other magic is dropped")
-def magic(peer: Peer) -> None:
-    data = a_stop(peer)
-    refused(peer, [peer.resealed(with_bit_flipped(data, bit)) for bit in range(32)], "a wrong magic")
+def a_path(peer: Peer) -> bytes:
+    """A path of three waypoints, sealed in the session."""
+    return peer.encoded(ReferencePath(peer.new_id(), (IDENTITY,) * 3, 0.0, 0.0))
 
 
-@case(103, "3.5", "COMMAND truncated at every byte is dropped")
-def truncated_command(peer: Peer) -> None:
-    data = a_stop(peer)
-    refused(peer, [data[:n] for n in range(1, len(data))], "a truncated COMMAND")
+# Of a peer in a session and a sealed STOP: datagrams that are to be dropped.
+Bent = Callable[[Peer, bytes], Iterable[bytes]]
 
 
-@case(104, "3.5", "COMMAND truncated at every byte, its length field made to match, is dropped")
-def truncated_and_confessed(peer: Peer) -> None:
-    data = a_stop(peer)
-    bent = [peer.with_payload_of(data, n) for n in range(COMMAND_BYTES)]
-    refused(peer, bent, "a shortened COMMAND")
+def all_refused(rows: Iterable[tuple[int, str, str, Bent]], enter: Callable[..., Any]) -> None:
+    """Enter a case for each row: number, clause, title, and what gets no answer."""
+
+    def refusing(bent: Bent, title: str, peer: Peer) -> None:
+        refused(peer, bent(peer, peer.encoded(stop(peer))), title)
+
+    for number, clause, title, bent in rows:
+        enter(number, clause, title, opens=50)(partial(refusing, bent, title))
 
 
-@case(105, "3.5", "REFERENCE_PATH truncated at every 8th byte is dropped")
-def truncated_path(peer: Peer) -> None:
-    data = a_path(peer)
-    refused(peer, [data[:n] for n in range(HEADER_BYTES, len(data), 8)], "a truncated REFERENCE_PATH")
+@case(101, "3.1", "a sound request is answered (the control of the cases below)", opens=50)
+def sound(peer: Peer) -> None:
+    used_next(peer, "STOP")
 
 
-@case(106, "3.5", "a datagram without content is dropped")
-def empty(peer: Peer) -> None:
-    peer.open()
-    refused(peer, [b""] * 3, "an empty datagram")
-
-
-@case(107, "3.5", "trailing bytes are dropped, whether the length field admits them or not")
-def trailing(peer: Peer) -> None:
-    data = a_stop(peer)
-    longer = [data + bytes(n) for n in (1, 8, 100)]
-    admitted = [peer.with_payload_of(data, COMMAND_BYTES + n) for n in (1, 8, 100)]
-    refused(peer, [*longer, *admitted], "a COMMAND with trailing bytes")
-
-
-@case(108, "3.5", "datagrams above the largest size are dropped")
-def oversize(peer: Peer) -> None:
-    data = a_path(peer)
-    sizes = (MAX_DATAGRAM_BYTES + 1, 1472, 1473, 9000, 60_000)
-    refused(peer, [peer.with_payload_of(data, n - HEADER_BYTES) for n in sizes], "an oversize datagram")
-
-
-@case(109, "3.2", "COMMAND with any single bit flipped is dropped")
-def flipped_command(peer: Peer) -> None:
-    data = a_stop(peer)
-    refused(peer, [with_bit_flipped(data, bit) for bit in range(8 * len(data))], "a flipped bit")
-
-
-@case(111, "3.2", "a CRC over the field itself, of zero, or of another polynomial is refused")
-def other_crc(peer: Peer) -> None:
-    data = a_stop(peer)
-    crc32c = struct.pack("<I", _crc(data[:12] + data[16:], 0x82F63B78))
-    big_endian = data[:12] + data[12:16][::-1] + data[16:]
-    refused(
-        peer, [data[:12] + bytes(4) + data[16:], data[:12] + crc32c + data[16:], big_endian], "a wrong CRC"
-    )
+# fmt: off - one case a row
+all_refused(
+    (
+        (
+            102,
+            "3.5",
+            "every other magic is dropped",
+            lambda peer, data: (peer.resealed(with_bit_flipped(data, bit)) for bit in range(32)),
+        ),
+        (
+            103,
+            "3.5",
+            "COMMAND truncated at every byte is dropped",
+            lambda _, data: (data[:n] for n in range(1, len(data))),
+        ),
+        (
+            104,
+            "3.5",
+            "COMMAND truncated at every byte, its length field made to match, is dropped",
+            lambda peer, data: (peer.with_payload_of(data, n) for n in range(COMMAND_BYTES)),
+        ),
+        (
+            105,
+            "3.5",
+            "REFERENCE_PATH truncated at every 8th byte is dropped",
+            lambda peer, _: (path[:n] for path in [a_path(peer)] for n in range(HEADER_BYTES, len(path), 8)),
+        ),
+        (106, "3.5", "a datagram without content is dropped", lambda _, __: [b""] * 3),
+        (
+            107,
+            "3.5",
+            "trailing bytes are dropped, whether the length field admits them or not",
+            lambda peer, data: (
+                bent
+                for n in (1, 8, 100)
+                for bent in (data + bytes(n), peer.with_payload_of(data, COMMAND_BYTES + n))
+            ),
+        ),
+        (
+            108,
+            "3.5",
+            "datagrams above the largest size are dropped",
+            lambda peer, _: (
+                peer.with_payload_of(a_path(peer), n - HEADER_BYTES)
+                for n in (MAX_DATAGRAM_BYTES + 1, 1472, 1473, 9000, 60_000)
+            ),
+        ),
+        (
+            109,
+            "3.2",
+            "COMMAND with any single bit flipped is dropped",
+            lambda _, data: (with_bit_flipped(data, bit) for bit in range(8 * len(data))),
+        ),
+        (
+            111,
+            "3.2",
+            "a CRC over the field itself, of zero, or of another polynomial is refused",
+            lambda _, data: (
+                data[:12] + crc + data[16:]
+                for crc in (
+                    bytes(4),
+                    struct.pack("<I", _crc(data[:12] + data[16:], 0x82F63B78)),
+                    data[12:16][::-1],
+                )
+            ),
+        ),
+        (
+            116,
+            "3.4",
+            "each unknown critical flag is refused",
+            lambda peer, _: (peer.encoded(stop(peer), flags=1 << bit) for bit in range(9, 16)),
+        ),
+        (
+            118,
+            "3.5",
+            "unknown kinds are dropped",
+            lambda peer, data: (peer.with_number(data, KIND, "B", kind) for kind in (0, 100, 127, 255)),
+        ),
+        (
+            119,
+            "3.5",
+            "a payload of another kind's length is dropped",
+            lambda peer, data: (peer.with_number(data, KIND, "B", kind) for kind in (3, 5, 6)),
+        ),
+        (
+            121,
+            "3.5",
+            "a command id of 0 is dropped",
+            lambda peer, data: [peer.with_number(data, HEADER_BYTES, "Q", 0)],
+        ),
+    ),
+    case,
+)
+# fmt: on
 
 
 @case(112, "4.4", "another major version is told INCOMPATIBLE_VERSION")
@@ -144,40 +189,10 @@ def newer_minor(peer: Peer) -> None:
     peer.alive("the negotiated minor version")
 
 
-@case(116, "3.4", "each unknown critical flag is refused")
-def critical(peer: Peer) -> None:
-    data = a_stop(peer)
-    flags = [int.from_bytes(data[FLAGS : FLAGS + 2], "little") | 1 << bit for bit in range(9, 16)]
-    refused(peer, [peer.with_number(data, FLAGS, "H", each) for each in flags], "a critical flag")
-
-
-@case(117, "3.4", "unknown optional flags are ignored")
+@case(117, "3.4", "unknown optional flags are ignored", opens=50)
 def optional(peer: Peer) -> None:
-    peer.open()
     for flags in (*(1 << bit for bit in range(1, 8)), 0xFF):
-        request = stop(peer)
-        used(peer, peer.encoded(request, flags=flags), request.command_id, f"optional flags {flags:#x}")
-
-
-@case(118, "3.5", "unknown kinds are dropped")
-def kinds(peer: Peer) -> None:
-    data = a_stop(peer)
-    refused(peer, [peer.with_number(data, KIND, "B", kind) for kind in (0, 100, 127, 255)], "an unknown kind")
-
-
-@case(119, "3.5", "a payload of another kind's length is dropped")
-def other_length(peer: Peer) -> None:
-    data = a_stop(peer)
-    refused(
-        peer,
-        [peer.with_number(data, KIND, "B", kind) for kind in (3, 5, 6)],
-        "COMMAND's payload as another kind",
-    )
-
-
-@case(121, "3.5", "a command id of 0 is dropped")
-def id_zero(peer: Peer) -> None:
-    refused(peer, [peer.with_number(a_stop(peer), HEADER_BYTES, "Q", 0)], "command id 0")
+        used_next(peer, f"optional flags {flags:#x}", flags=flags)
 
 
 @case(122, "3.5", "HELLO with a nonce of 0 or a STATE period above the range is dropped")
@@ -185,20 +200,18 @@ def bad_hello(peer: Peer) -> None:
     hello = peer.encoded(Hello(peer.nonce(), 1, 0, 50), session=0)
     peer.send_raw(peer.with_number(hello, HEADER_BYTES, "Q", 0))
     peer.send_raw(peer.with_number(hello, HEADER_BYTES + 24, "I", 60_001))
-    got = [d.message for d in peer.collect(100) if isinstance(d.message, Welcome | Bye)]
-    require(not got, f"a HELLO out of range was answered with {got}")
+    peer.require_came([], 100, "a HELLO out of range", of=Welcome | Bye, beating=True)
 
 
-@case(127, "3.5", "noise behind a good header and CRC is survived")
+@case(127, "3.5", "noise behind a good header and CRC is survived", opens=50)
 def sealed_noise(peer: Peer) -> None:
-    data = a_stop(peer)
-    generator = _noise(peer.session & 0xFFFFFFFF or 1)
+    data = peer.encoded(stop(peer))
+    noise = Random(peer.session)  # so a transcript can be made again
     for kind in range(16):
         for size in (0, 8, 16, 32, 48, 72, 336, 1376):
-            payload = bytes(next(generator) & 0xFF for _ in range(size))
             bent = bytearray(peer.with_payload_of(data, size))
             bent[KIND] = kind
-            bent[HEADER_BYTES : HEADER_BYTES + size] = payload
+            bent[HEADER_BYTES : HEADER_BYTES + size] = noise.randbytes(size)
             struct.pack_into("<Q", bent, 16, peer.session ^ 1)
             peer.send_raw(peer.resealed(bytes(bent)))
     peer.collect(RATION_MS)
@@ -212,13 +225,3 @@ def _crc(data: bytes, polynomial: int) -> int:
         for _ in range(8):
             register = register >> 1 ^ (polynomial if register & 1 else 0)
     return register ^ 0xFFFFFFFF
-
-
-def _noise(seed: int) -> Iterator[int]:
-    """Xorshift numbers: the same for the same session number, so a transcript can be made again."""
-    x = seed & 0xFFFFFFFF or 1
-    while True:
-        x ^= x << 13 & 0xFFFFFFFF
-        x ^= x >> 17
-        x ^= x << 5 & 0xFFFFFFFF
-        yield x

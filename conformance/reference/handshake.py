@@ -3,7 +3,7 @@
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import MAJOR, stop
-from conformance.reference.sessions import silent
+from conformance.reference.sessions import SLACK_MS, silent
 from conformance.wire import ANSWER_MS, MS, Failed, require
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, Bye, Heartbeat, HeartbeatReply, Hello, State, Welcome
@@ -17,13 +17,10 @@ def granted(peer: Peer, *, nonce: int | None = None, period_ms: int = 50, capabi
     """The number of the session that a new HELLO is granted; nothing is sent in it yet."""
     hello = Hello(nonce or peer.nonce(), peer.required | capabilities, 0, period_ms)
     peer.send(hello, session=0, minor=0)
-    until_ns = peer.now_ns + ANSWER_MS * MS
-    while (left_ns := until_ns - peer.now_ns) > 0:
-        datagram = peer.receive(left_ns / MS, beating=False)
-        message = datagram.message if datagram else None
-        if datagram and isinstance(message, Welcome) and message.client_nonce == hello.client_nonce:
+    for (session, *_), message in peer.arriving(ANSWER_MS, beating=False):
+        if isinstance(message, Welcome) and message.client_nonce == hello.client_nonce:
             peer.welcome = message
-            return datagram.header.session
+            return session
     raise Failed(f"no WELCOME within {ANSWER_MS} ms")
 
 
@@ -53,17 +50,20 @@ def nothing_but_welcome(peer: Peer) -> None:
     nonce = peer.nonce()
     session = granted(peer, nonce=nonce, period_ms=0)
     # Shorter than any link timeout that lets four heartbeats be lost: the grant is still good.
-    got = [d.message for d in peer.collect(100, beating=False)]
-    require(not got, f"{len(got)} datagrams came before the first of the session: {got[:3]}")
+    peer.require_came([], 100, "before the first datagram of the session")
     require(granted(peer, nonce=nonce, period_ms=0) == session, "HELLO again was granted another session")
     require_begun(peer, session, "the first heartbeat")
     states = [d for d in peer.collect(100) if isinstance(d.message, State)]
     require(bool(states), "no STATE in the session that has begun")
 
 
-@case(232, "4.5", "a HELLO with the client's address and another nonce does not disturb the session in use")
+@case(
+    232,
+    "4.5",
+    "a HELLO with the client's address and another nonce does not disturb the session in use",
+    opens=20,
+)
 def forged_hello(peer: Peer) -> None:
-    peer.open(period_ms=20)
     in_use = peer.session
     for _ in range(5):
         granted(peer, period_ms=0)
@@ -73,9 +73,13 @@ def forged_hello(peer: Peer) -> None:
     peer.alive("the session in use")
 
 
-@case(233, "4.5", "after a restart in place the old session ends with the first datagram in the new one")
+@case(
+    233,
+    "4.5",
+    "after a restart in place the old session ends with the first datagram in the new one",
+    opens=50,
+)
 def restart_is_confirmed(peer: Peer) -> None:
-    peer.open()
     old = peer.session
     new = granted(peer)
     peer.ask(stop(peer), "a request of the old session, before the new one begins")
@@ -147,8 +151,12 @@ def _hello(peer: Peer, nonce: int) -> Hello:
     return Hello(nonce, peer.required | 1, 0, 0)
 
 
-# What a busy machine may add to a deadline before it counts as missed.
-SLACK_MS = 100
+def require_ended(peer: Peer, session: int, why: str) -> None:
+    """Require that a request of ``session`` is told UNKNOWN_SESSION."""
+    peer.session = 0
+    peer.collect(RATION_MS, beating=False)
+    peer.send(stop(peer), session=session)
+    peer.expect_bye(Reason.UNKNOWN_SESSION, why)
 
 
 @case(221, "4.9", "BYE ends the session at once, whatever its reason")
@@ -157,9 +165,7 @@ def bye(peer: Peer) -> None:
         peer.open()
         session = peer.session
         peer.leave(reason)
-        peer.collect(RATION_MS, beating=False)
-        peer.send(stop(peer), session=session)
-        peer.expect_bye(Reason.UNKNOWN_SESSION, f"a request after BYE {reason.name}")
+        require_ended(peer, session, f"a request after BYE {reason.name}")
 
 
 @case(222, "4.4", "BYE is never answered")
@@ -177,21 +183,10 @@ def timeout(peer: Peer) -> None:
     timeout_ms = peer.open().link_timeout_ms
     last_ns = peer.now_ns
     peer.send(Heartbeat(last_ns), sent_ns=last_ns)
-    until_ns = last_ns + (timeout_ms + 1000) * MS
-    while peer.now_ns < until_ns:
-        datagram = peer.receive(20, beating=False)
-        if datagram and isinstance(datagram.message, Bye):
-            waited_ms = (peer.now_ns - last_ns) / MS
-            require(datagram.message.reason is Reason.LINK_TIMEOUT, f"BYE {datagram.message.reason.name}")
-            require(
-                waited_ms > timeout_ms - 1, f"after {waited_ms:.1f} ms of silence, announced {timeout_ms}"
-            )
-            require(
-                waited_ms < timeout_ms + SLACK_MS, f"only after {waited_ms:.1f} ms, announced {timeout_ms}"
-            )
-            peer.session = 0
-            return
-    raise Failed(f"no BYE {1000 + timeout_ms} ms after the last heartbeat")
+    peer.expect_bye(Reason.LINK_TIMEOUT, "silence", timeout_ms + 1000)
+    waited_ms = (peer.now_ns - last_ns) / MS
+    require(waited_ms > timeout_ms - 1, f"after {waited_ms:.1f} ms of silence, announced {timeout_ms}")
+    require(waited_ms < timeout_ms + SLACK_MS, f"only after {waited_ms:.1f} ms, announced {timeout_ms}")
 
 
 @case(225, "5.4", "a session that ended by silence is not resumed")
@@ -226,18 +221,16 @@ def requests_keep_alive(peer: Peer) -> None:
         require(not any(isinstance(d.message, Bye) for d in got), "the session ended")
 
 
-@case(228, "2.3", "a controller without a session sends nothing")
+@case(228, "2.3", "a controller without a session sends nothing", opens=50)
 def quiet(peer: Peer) -> None:
-    peer.open()
     peer.collect(100)
     peer.leave()
     peer.collect(30, beating=False)
     silent(peer, 300, but=Hello)
 
 
-@case(229, "4.2", "the minor version of the handshake is in every datagram of the controller")
+@case(229, "4.2", "the minor version of the handshake is in every datagram of the controller", opens=0)
 def minor_everywhere(peer: Peer) -> None:
-    peer.open(period_ms=0)
     peer.send(stop(peer))
     got = peer.collect(100)
     require(bool(got), "nothing came")

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from itertools import chain, pairwise
 
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.wire import MS, Unsupported, require
-from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from conformance.wire import Unsupported, require
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
@@ -16,6 +17,7 @@ from protocol.reference_messages import (
     Command,
     ReferencePath,
     ReferencePose,
+    Request,
     State,
 )
 
@@ -31,13 +33,7 @@ def require_reason(peer: Peer, code: CommandCode, reason: Reason, state: str) ->
 
 def reach(peer: Peer, state: GroupState, why: str, wait_ms: float = SETTLE_MS) -> State:
     """The first STATE that shows ``state``."""
-    until_ns = peer.now_ns + int(wait_ms * MS)
-    while peer.now_ns < until_ns:
-        seen = peer.state(why)
-        if seen.group_state is state:
-            return seen
-    require(False, f"{why}: {seen.group_state.name}, wanted {state.name}")
-    return seen
+    return peer.until(lambda seen: seen.group_state is state, wait_ms, f"{why}: {state.name}")
 
 
 def disabled(peer: Peer, capabilities: int = CAPABILITY_PATHS, period_ms: int = 20) -> None:
@@ -47,14 +43,36 @@ def disabled(peer: Peer, capabilities: int = CAPABILITY_PATHS, period_ms: int = 
     if state.flags & FLAG_EMERGENCY_LATCHED:
         peer.command(CommandCode.EMERGENCY_RELEASE)
     peer.command(CommandCode.DISABLE)
-    until_ns = peer.now_ns + SETTLE_MS * MS
-    while peer.now_ns < until_ns:
-        state = peer.state()
+    for state in peer.states(SETTLE_MS):
         if state.group_state is GroupState.DISABLED:
             return
         if state.group_state is GroupState.ERROR_STOP:
             peer.command(CommandCode.RESET)
     raise Unsupported(f"the group stays in {state.group_state.name}, fault {state.fault.name}")
+
+
+def accepted(peer: Peer, request: Request, what: str = "a motion") -> int:
+    """The id of a request, which is accepted."""
+    expect_reason(peer.ask(request, what), Reason.ACCEPTED, what)
+    return request.command_id
+
+
+def require_near(pose: Pose, goal: Pose, within_m: float, what: str) -> None:
+    """Raises Failed unless ``pose`` is so near ``goal``."""
+    off_m = math.dist(pose.p_m, goal.p_m)
+    require(off_m < within_m, f"{what}: {off_m * 1e3:.3g} mm off")
+
+
+CENTRED = (0.0,) * 6
+
+
+def require_shown(state: State, when: str, **wanted: object) -> None:
+    """Raises Failed unless these fields of ``state`` are as wanted."""
+    for name, value in wanted.items():
+        got = getattr(state, name)
+        require(
+            got == value, f"{name} {getattr(got, 'name', got)} {when}, wanted {getattr(value, 'name', value)}"
+        )
 
 
 def reference_reason(peer: Peer, pose: Pose, duration_s: float = 0.0) -> Acknowledgement:
@@ -73,7 +91,7 @@ def emergency(peer: Peer) -> None:
     require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "DISABLED")
     state = reach(peer, GroupState.ERROR_STOP, "after EMERGENCY_STOP")
     require(bool(state.flags & FLAG_EMERGENCY_LATCHED), "the flag is not set")
-    require(state.fault is FaultCode.EMERGENCY_STOP, f"fault {state.fault.name}")
+    require_shown(state, "after EMERGENCY_STOP", fault=FaultCode.EMERGENCY_STOP)
     peer.collect(200)
     require(bool(peer.state().flags & FLAG_EMERGENCY_LATCHED), "it is gone by itself")
 
@@ -82,8 +100,7 @@ def emergency(peer: Peer) -> None:
 def emergency_outlives(peer: Peer) -> None:
     disabled(peer)
     peer.command(CommandCode.EMERGENCY_STOP)
-    peer.leave()
-    peer.open(period_ms=20)
+    peer.reopen(period_ms=20)
     require(bool(peer.state().flags & FLAG_EMERGENCY_LATCHED), "it was gone after a new session")
     require_reason(peer, CommandCode.ENABLE, Reason.EMERGENCY_LATCHED, "emergency")
 
@@ -133,9 +150,7 @@ def enabled(peer: Peer) -> State:
     if is_near(state.X_BT_cmd, home):
         return state
     answer = reference_reason(peer, home)
-    until_ns = peer.now_ns + 4 * SETTLE_MS * MS
-    while answer.reason is Reason.ACCEPTED and peer.now_ns < until_ns:
-        state = peer.state("on the way back")
+    for state in peer.states(4 * SETTLE_MS, "on the way back") if answer.reason is Reason.ACCEPTED else ():
         if state.group_state is GroupState.STANDBY and is_near(state.X_BT_cmd, home):
             return state
     away_mm = math.dist(state.X_BT_cmd.p_m, home.p_m) * 1e3
@@ -195,55 +210,58 @@ def refused_whole(peer: Peer) -> None:
 def small_motion(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     goal = moved(here, dz=STEP_M)
-    request = ReferencePose(peer.new_id(), goal, 2.0)
-    expect_reason(peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion of 20 mm")
+    motion_id = accepted(peer, ReferencePose(peer.new_id(), goal, 2.0), "a motion of 20 mm")
     first = peer.state()
-    require(first.motion_id == request.command_id, "motion_id is not the request's")
-    require(not first.motion_done, "done before it began")
-    until_ns = peer.now_ns + 30_000 * MS
-    last = first
-    while peer.now_ns < until_ns and not last.motion_done:
-        before, last = last, peer.state()
+    require_shown(first, "at first", motion_id=motion_id, motion_done=False)
+    for before, last in pairwise(chain((first,), peer.states(30_000))):
         jump = math.dist(before.X_BT_cmd.p_m, last.X_BT_cmd.p_m)
         require(jump < STEP_M, f"the commanded pose jumped by {jump * 1e3:.1f} mm")
+        if last.motion_done:
+            break
     require(last.motion_done, "not done within 30 s")
-    require(math.dist(last.X_BT_cmd.p_m, goal.p_m) < 1e-6, "the commanded pose is not the goal")
-    require(math.dist(last.X_BT.p_m, goal.p_m) < 5e-3, "the arm is more than 5 mm from the goal")
+    require_near(last.X_BT_cmd, goal, 1e-6, "the commanded pose, from the goal")
+    require_near(last.X_BT, goal, 5e-3, "the arm, from the goal")
     expect_reason(reference_reason(peer, here, 2.0), Reason.ACCEPTED, "the way back")
     peer.collect(2500)
 
 
-@case(529, "7.5", "a lost link in motion stops the arm; nothing resumes by itself", motion=True)
-def lost_in_motion(peer: Peer) -> None:
+def moving(peer: Peer) -> State:
+    """A session with a motion of 20 mm in 5 s under way; its STATE."""
     here = standby(peer).X_BT_cmd
     expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
-    reach(peer, GroupState.MOVING, "after a reference")
-    peer.collect(peer.timeout_ms + 1500, beating=False)
-    peer.session = 0
-    peer.open(period_ms=20)
+    return reach(peer, GroupState.MOVING, "after a reference")
+
+
+def require_latched(peer: Peer, after: str) -> None:
+    """Require a group that has stopped, latched the loss, and does not resume by itself."""
     state = peer.state()
-    require(state.group_state is GroupState.ERROR_STOP, f"{state.group_state.name} after a lost link")
-    require(state.fault is FaultCode.REFERENCE_LINK_LOST, f"fault {state.fault.name}")
+    lost, stopped = FaultCode.REFERENCE_LINK_LOST, GroupState.ERROR_STOP
+    require_shown(state, f"after {after}", group_state=stopped, fault=lost, severity=Severity.STOP)
     peer.collect(300)
     later = peer.state()
+    require_shown(later, "300 ms later", valves=CENTRED)
     drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
-    require(later.valves == (0.0,) * 6, f"valves {later.valves}")
     require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
     require_reason(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
     require_reason(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
-    reach(peer, GroupState.DISABLED, "after RESET")
+    require(reach(peer, GroupState.DISABLED, "after RESET").fault is FaultCode.NONE, "RESET left a fault")
+
+
+@case(529, "7.5", "a lost link in motion stops the arm; nothing resumes by itself", motion=True)
+def lost_in_motion(peer: Peer) -> None:
+    moving(peer)
+    peer.collect(peer.timeout_ms + 1500, beating=False)
+    peer.open(period_ms=20)
+    require_latched(peer, "a lost link")
 
 
 @case(532, "6.8", "a path is driven through its waypoints in order", motion=True, needs=PATHS)
 def path(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     points = (moved(here, dz=STEP_M), moved(here, dz=STEP_M, dx=-STEP_M), here)
-    request = ReferencePath(peer.new_id(), points, 1.5, 0.2)
-    expect_reason(peer.ask(request, "a path"), Reason.ACCEPTED, "a path of three waypoints")
+    accepted(peer, ReferencePath(peer.new_id(), points, 1.5, 0.2), "a path of three waypoints")
     segments, nearest = [], [math.inf] * len(points)
-    until_ns = peer.now_ns + 40_000 * MS
-    while peer.now_ns < until_ns:
-        state = peer.state()
+    for state in peer.states(40_000):
         segments.append(state.segment)
         for i, point in enumerate(points):
             if state.segment in (i, i + 1):  # in their order: a waypoint that is met later does not count

@@ -3,8 +3,9 @@
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.datagram_drops import dropped
-from conformance.reference.framing import stop
-from conformance.reference.handshake import SLACK_MS, granted
+from conformance.reference.framing import refused, stop, used_next
+from conformance.reference.handshake import granted
+from conformance.reference.sessions import SLACK_MS
 from conformance.wire import MS, SEQUENCES, Failed, Unsupported, require
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, Bye, Heartbeat, HeartbeatReply
@@ -13,41 +14,28 @@ case = reference.case
 FLAG_ECHO_VALID = 1
 
 
-def used(peer: Peer, what: str, sequence: int | None = None, sent_ns: int | None = None) -> None:
-    """A STOP of this sequence number is answered."""
-    request = stop(peer)
-    peer.send(request, sequence=sequence, sent_ns=sent_ns)
-    answer = peer.answer_to(request.command_id, what)
-    require(answer.reason is Reason.ACCEPTED, f"{what}: answered {answer.reason.name}")
-
-
-@case(301, "5.2", "the same datagram a hundred times has one answer, however late the others come")
+@case(301, "5.2", "the same datagram a hundred times has one answer, however late the others come", opens=50)
 def duplicates(peer: Peer) -> None:
-    peer.open()
     request = stop(peer)
     data = peer.send(request)
     for _ in range(49):
         peer.send_raw(data)
     peer.answer_to(request.command_id, "the first of a hundred")
-    for _ in range(50):
-        peer.send_raw(data)
-    require(not peer.answers("a hundred duplicates"), "a duplicate was answered")
+    refused(peer, [data] * 50, "a hundred duplicates")
 
 
-@case(302, "5.2", "a late datagram is not used")
+@case(302, "5.2", "a late datagram is not used", opens=50)
 def late(peer: Peer) -> None:
-    peer.open()
     held = peer.encoded(stop(peer))
-    used(peer, "the datagram after it")
-    peer.send_raw(held)
-    require(not peer.answers("a late datagram"), "a datagram older than the newest was used")
+    used_next(peer, "the datagram after it")
+    refused(peer, [held], "a late datagram")
 
 
 @case(307, "5.1", "the number wraps")
 def wraps(peer: Peer) -> None:
     peer.open(sequence=SEQUENCES - 4)
     for _ in range(8):
-        used(peer, f"sequence {(peer.sequence + 1) % peer.sequences} at the wrap")
+        used_next(peer, f"sequence {(peer.sequence + 1) % peer.sequences} at the wrap")
 
 
 @case(308, "1.9", "a late datagram from before the wrap is not used")
@@ -55,16 +43,15 @@ def late_over_the_wrap(peer: Peer) -> None:
     peer.open(sequence=SEQUENCES - 3)
     held = peer.encoded(stop(peer))
     for _ in range(4):
-        used(peer, "a datagram at the wrap")
-    peer.send_raw(held)
-    require(not peer.answers("a late datagram from before the wrap"), "it was used")
+        used_next(peer, "a datagram at the wrap")
+    refused(peer, [held], "a late datagram from before the wrap")
 
 
 @case(309, "5.1", "any start of the count is taken")
 def any_start(peer: Peer) -> None:
     for start in (0, 1, 2**31 - 1, 2**31, SEQUENCES - 1):
         peer.open(sequence=start)
-        used(peer, f"a session that starts at {start}")
+        used_next(peer, f"a session that starts at {start}")
         peer.leave()
 
 
@@ -72,23 +59,18 @@ def any_start(peer: Peer) -> None:
 def losses_counted(peer: Peer) -> None:
     for start in (1000, SEQUENCES - 6):
         peer.open(period_ms=20, sequence=start)
-        before = peer.state()
+        before = peer.tallies()
         held = [peer.encoded(stop(peer)) for _ in range(10)]
         peer.alive("after a gap")
-        lost = peer.state().references_lost - before.references_lost
-        require(lost == 10, f"a gap of 10 in a session from {start} on was counted as {lost}")
+        peer.require_counted(before, f"a gap of 10 in a session from {start} on", lost=10)
         for came, late in enumerate((held[1], held[8]), 1):
             peer.send_raw(late)
             peer.alive("after a late one")
-            after = peer.state()
-            dropped = after.references_dropped - before.references_dropped
-            require(after.references_lost - before.references_lost == lost - came, "it still counts as lost")
-            require(dropped == came, "it does not count as dropped")
+            peer.require_counted(before, f"{came} of 10 came late", lost=10 - came, dropped=came)
 
 
-@case(312, "5.7", "the echo, where there is one, is the newest number received")
+@case(312, "5.7", "the echo, where there is one, is the newest number received", opens=50)
 def echoed(peer: Peer) -> None:
-    peer.open()
     peer.drain()
     for _ in range(5):
         now_ns = peer.now_ns
@@ -102,32 +84,29 @@ def echoed(peer: Peer) -> None:
             require(datagram.header.echo_sequence == newest, "the echo is not the newest number")
 
 
-@case(313, "5.3", "a datagram older than the link timeout is not used although it comes in order")
+@case(313, "5.3", "a datagram older than the link timeout is not used although it comes in order", opens=50)
 def stale(peer: Peer) -> None:
-    peer.open()
     peer.alive("a fresh datagram")
-    peer.send(stop(peer), sent_ns=peer.now_ns - (peer.timeout_ms + 30) * MS)
-    require(not peer.answers("a stale request"), "a stale request was used")
+    stale_request = peer.encoded(stop(peer), sent_ns=peer.now_ns - (peer.timeout_ms + 30) * MS)
+    refused(peer, [stale_request], "a stale request")
 
 
-@case(329, "5.3", "a stale datagram has no answer at all, and begins no session: that in use goes on")
+@case(
+    329, "5.3", "a stale datagram has no answer at all, and begins no session: that in use goes on", opens=50
+)
 def stale_is_nothing(peer: Peer) -> None:
-    peer.open()
     peer.alive("a fresh datagram")
     session, another = peer.session, granted(peer)
     peer.collect(RATION_MS)
     for number in (session, another):
         peer.send(stop(peer), session=number, sent_ns=peer.now_ns - (peer.timeout_ms + 30) * MS)
-        came = [
-            d.message for d in peer.collect(peer.grace_ms) if isinstance(d.message, Acknowledgement | Bye)
-        ]
-        require(not came, f"a stale request was answered: {came}")
+        answers = Acknowledgement | Bye
+        peer.require_came([], peer.grace_ms, "a stale request was answered", of=answers, beating=True)
         peer.alive("after a stale datagram, beside a grant")
 
 
-@case(314, "5.3", "a backlog of two seconds is not used, but for what is fresh in it")
+@case(314, "5.3", "a backlog of two seconds is not used, but for what is fresh in it", opens=50)
 def backlog(peer: Peer) -> None:
-    peer.open()
     peer.alive("a fresh datagram")
     now_ns = peer.now_ns
     for age_ms in range(2000, peer.timeout_ms + 30, -17):
@@ -138,27 +117,21 @@ def backlog(peer: Peer) -> None:
     require([a.command_id for a in answers] == [newest.command_id], f"{len(answers)} of a backlog were used")
 
 
-@case(315, "5.4", "stale datagrams do not keep the session alive")
+@case(315, "5.4", "stale datagrams do not keep the session alive", opens=50)
 def stale_does_not_live(peer: Peer) -> None:
-    peer.open()
     peer.alive("a fresh datagram")
     begin_ns = peer.now_ns
     while peer.now_ns - begin_ns < (peer.timeout_ms + 150) * MS:
         peer.send(Heartbeat(1), sent_ns=begin_ns - 1000 * MS)
-        for datagram in peer.collect(20, beating=False):
-            require(not isinstance(datagram.message, HeartbeatReply), "a stale heartbeat was answered")
+        peer.require_came([], 20, "a stale heartbeat was answered", of=HeartbeatReply)
     peer.collect(60, beating=False)
     peer.send(stop(peer))
-    require(
-        not any(isinstance(d.message, Acknowledgement) for d in peer.collect(60, beating=False)),
-        "the session lived on stale heartbeats",
-    )
+    peer.require_came([], 60, "the session lived on stale heartbeats", of=Acknowledgement)
     peer.session = 0
 
 
-@case(317, "5.5", "HEARTBEAT is answered at once with its own time and two times in order")
+@case(317, "5.5", "HEARTBEAT is answered at once with its own time and two times in order", opens=50)
 def heartbeat(peer: Peer) -> None:
-    peer.open()
     before = 0
     for _ in range(10):
         reply = peer.alive("HEARTBEAT")
@@ -168,9 +141,8 @@ def heartbeat(peer: Peer) -> None:
         peer.collect(5)
 
 
-@case(318, "5.5", "the intervals of twenty echoes have an offset in common")
+@case(318, "5.5", "the intervals of twenty echoes have an offset in common", opens=50)
 def one_offset(peer: Peer) -> None:
-    peer.open()
     low, high = -(2**63), 2**63
     for _ in range(20):
         begin_ns = peer.now_ns
@@ -191,96 +163,69 @@ FLOOD_MS = 4000
 BURST = 32
 
 
-def tallies(peer: Peer) -> tuple[int, int]:
-    """What STATE counts as lost and as dropped."""
-    state = peer.state()
-    return state.references_lost, state.references_dropped
-
-
 @case(320, "8", "63 behind the newest number a late one is taken off the losses, 64 behind it is not")
 def window(peer: Peer) -> None:
     peer.open(period_ms=20, sequence=1000)
-    lost, _ = tallies(peer)
-    for behind, taken_off in ((WINDOW - 1, 1), (WINDOW, 0), (WINDOW + 1, 0), (2, 1), (1, 1)):
-        first = peer.sequence + 1
+    require_window(peer, ((WINDOW - 1, 1), (WINDOW, 0), (WINDOW + 1, 0), (2, 1), (1, 1)))
+
+
+def require_window(peer: Peer, rows: tuple[tuple[int, int], ...]) -> None:
+    """Behind a gap of 99 send one so far ``behind``: it is dropped, and so many are taken off the losses."""
+    before = peer.tallies()
+    for behind, taken_off in rows:
         peer.sequence += 99
         peer.alive("behind a gap of 99")
-        peer.send(stop(peer), sequence=peer.sequence - behind)
-        require(peer.sequence - behind >= first, "the tester's gap is too small")
-        require(not peer.answers(f"a request {behind} behind"), f"a request {behind} behind was used")
-        now_lost, _ = tallies(peer)
-        require(now_lost - lost == 99 - taken_off, f"{behind} behind: {now_lost - lost} lost of a gap of 99")
-        lost = now_lost
+        late = peer.encoded(stop(peer), sequence=peer.sequence - behind)
+        refused(peer, [late], f"a request {behind} behind")
+        before = peer.require_counted(before, f"{behind} behind", lost=99 - taken_off, dropped=1)
 
 
-@case(321, "5.2", "a late datagram is taken off the losses once, and a duplicate never")
+@case(321, "5.2", "a late datagram is taken off the losses once, and a duplicate never", opens=20)
 def taken_off_once(peer: Peer) -> None:
-    peer.open(period_ms=20)
-    lost, gone = tallies(peer)
+    before = peer.tallies()
     held = [peer.encoded(stop(peer)) for _ in range(5)]
     newest = peer.send(Heartbeat(1))
     old = peer.encoded(stop(peer), sequence=(peer.sequence - 300) % peer.sequences)
-    for data in (held[2], held[2], held[2], newest, newest, old):
-        peer.send_raw(data)
-    require(not peer.answers("late datagrams and duplicates"), "one was used")
-    now_lost, now_gone = tallies(peer)
-    require(now_lost - lost == 4, f"{now_lost - lost} lost: 5 were skipped, one of them came")
-    require(now_gone - gone == 6, f"{now_gone - gone} dropped of 6")
+    refused(peer, (held[2], held[2], held[2], newest, newest, old), "late datagrams and duplicates")
+    peer.require_counted(before, "5 were skipped, one of them came", lost=4, dropped=6)
 
 
-@case(322, "8", "a leap is no loss, is counted as dropped, and moves nothing")
+@case(322, "8", "a leap is no loss, is counted as dropped, and moves nothing", opens=20)
 def leaps_count(peer: Peer) -> None:
-    peer.open(period_ms=20)
-    lost, gone = tallies(peer)
+    before = peer.tallies()
     for _ in range(3):
         peer.send(stop(peer), sequence=(peer.sequence + WORD + 1) % peer.sequences)
-    used(peer, "the next number after leaps")
-    now_lost, now_gone = tallies(peer)
-    require(
-        (now_lost - lost, now_gone - gone) == (0, 3), f"{now_lost - lost} lost, {now_gone - gone} dropped"
-    )
+    used_next(peer, "the next number after leaps")
+    peer.require_counted(before, "three leaps", lost=0, dropped=3)
 
 
-@case(323, "5.2", "a gap is counted exactly: of 1, of 2, of 63, 64, 65 and of 65535")
+@case(323, "5.2", "a gap is counted exactly: of 1, of 2, of 63, 64, 65 and of 65535", opens=20)
 def exact_gaps(peer: Peer) -> None:
-    peer.open(period_ms=20)
-    lost, _ = tallies(peer)
+    before = peer.tallies()
     for gap in (0, 1, 2, WINDOW - 1, WINDOW, WINDOW + 1, WORD - 1):
         peer.sequence += gap
         peer.alive(f"behind a gap of {gap}")
-        now_lost, _ = tallies(peer)
-        require(now_lost - lost == gap, f"a gap of {gap} was counted as {now_lost - lost}")
-        lost = now_lost
+        before = peer.require_counted(before, f"a gap of {gap}", lost=gap)
 
 
-@case(324, "3.5", "whatever is dropped is counted as dropped, and not as lost")
+@case(324, "3.5", "whatever is dropped is counted as dropped, and not as lost", opens=20)
 def drops_are_counted(peer: Peer) -> None:
-    peer.open(period_ms=20)
     other = peer.second()
-    lost, gone = tallies(peer)
+    before = peer.tallies()
     for what, source, data in dropped(peer, other):
-        sequence = peer.sequence
-        source.send_raw(data())
-        peer.sequence = sequence
+        peer.send_beside(source, data)
         peer.collect(10)
-        now_lost, now_gone = tallies(peer)
-        require(now_gone - gone == 1, f"a datagram {what} was counted as {now_gone - gone} dropped")
-        require(now_lost == lost, f"a datagram {what} counts as lost")
-        gone = now_gone
+        before = peer.require_counted(before, f"a datagram {what}", lost=0, dropped=1)
 
 
-@case(325, "5.3", "a stale datagram came: it moves the number, and what it skipped is lost")
+@case(325, "5.3", "a stale datagram came: it moves the number, and what it skipped is lost", opens=20)
 def stale_came(peer: Peer) -> None:
-    peer.open(period_ms=20)
     peer.alive("a fresh datagram")
-    lost, gone = tallies(peer)
+    before = peer.tallies()
     held = peer.encoded(stop(peer))
     peer.send(stop(peer), sent_ns=peer.now_ns - 5 * peer.timeout_ms * MS)
-    peer.send_raw(held)
-    require(not peer.answers("a late datagram behind a stale one"), "it was used")
-    now_lost, now_gone = tallies(peer)
-    require(now_lost == lost, f"{now_lost - lost} lost: one was skipped, and came late")
-    require(now_gone - gone == 2, f"{now_gone - gone} dropped of 2")
+    refused(peer, [held], "a late datagram behind a stale one")
+    peer.require_counted(before, "one was skipped, and came late", lost=0, dropped=2)
 
 
 @case(326, "5.4", f"a datagram counts as heard when it left, not when it is read (slack {SLACK_MS} ms)")
@@ -291,19 +236,11 @@ def heard_when_it_left(peer: Peer) -> None:
     peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
     peer.collect(0.95 * timeout_ms - (peer.now_ns - begin_ns) / MS, beating=False)
     peer.send(Heartbeat(1), sent_ns=begin_ns + int(0.05 * timeout_ms * MS))  # 0.9 of the timeout under way
-    until_ns = begin_ns + 3 * timeout_ms * MS
-    while peer.now_ns < until_ns:
-        datagram = peer.receive(20, beating=False)
-        if datagram and datagram.message == Bye(Reason.LINK_TIMEOUT):
-            peer.session = 0
-            waited_ms = (peer.now_ns - begin_ns) / MS
-            require(waited_ms > timeout_ms - 1, f"after {waited_ms:.0f} ms, announced {timeout_ms}")
-            require(
-                waited_ms < 1.05 * timeout_ms + SLACK_MS,
-                f"it ended {waited_ms:.0f} ms after the first heartbeat; the second left 0.05 timeouts later",
-            )
-            return
-    raise Failed(f"no BYE {3 * timeout_ms} ms after the last heartbeat but one")
+    peer.expect_bye(Reason.LINK_TIMEOUT, "silence behind a heartbeat that was late", 2 * timeout_ms)
+    waited_ms = (peer.now_ns - begin_ns) / MS
+    require(waited_ms > timeout_ms - 1, f"after {waited_ms:.0f} ms, announced {timeout_ms}")
+    said = f"it ended {waited_ms:.0f} ms after the first heartbeat; the second left 0.05 timeouts later"
+    require(waited_ms < 1.05 * timeout_ms + SLACK_MS, said)
 
 
 @case(327, "5.3", "the least transit is kept for 10 to 20 s: after 8 s still, after 21 not (takes 25 s)")
@@ -328,9 +265,8 @@ def base_of_age(peer: Peer) -> None:
                 f" {'kept' if fresh else 'forgotten'}")  # fmt: skip
 
 
-@case(328, "5.1", "the controller's own numbers rise one by one for 65537 datagrams, or for 4 s")
+@case(328, "5.1", "the controller's own numbers rise one by one for 65537 datagrams, or for 4 s", opens=1000)
 def own_number(peer: Peer) -> None:
-    peer.open(period_ms=1000)
     first = newest = None
     until_ns = peer.now_ns + FLOOD_MS * MS
     while peer.now_ns < until_ns:

@@ -1,16 +1,16 @@
 """Cases 201…: opening, keeping and ending a session (clauses 2, 4 and 5.4)."""
 
+from collections.abc import Callable
+
 from conformance.case import reference
 from conformance.peer import RATION_MS, SESSION_MS, Peer
-from conformance.reference.framing import stop
-from conformance.wire import ANSWER_MS, MS, Failed, require
+from conformance.reference.framing import refused, stop
+from conformance.wire import ANSWER_MS, MS, Failed, known, require
 from protocol.faults import Reason
 from protocol.reference_messages import (
-    CAPABILITY_PATHS,
-    CAPABILITY_STREAMING,
-    CAPABILITY_VALVE_TRIALS,
     Acknowledgement,
     Bye,
+    Heartbeat,
     HeartbeatReply,
     Hello,
     Message,
@@ -21,7 +21,6 @@ from protocol.reference_messages import (
 case = reference.case
 # What a busy machine may add to a deadline before it counts as missed.
 SLACK_MS = 100
-TABLED = CAPABILITY_PATHS | CAPABILITY_STREAMING | CAPABILITY_VALVE_TRIALS
 
 
 def hello(peer: Peer, nonce: int, **header: int) -> bytes:
@@ -36,12 +35,26 @@ def welcomes(peer: Peer, wait_ms: float = 100) -> list[Welcome]:
 
 def silent(peer: Peer, wait_ms: float, *, but: type[Message] = State) -> None:
     """Require that nothing comes but ``but``."""
-    got = [
-        type(d.message).__name__
-        for d in peer.collect(wait_ms, beating=False)
-        if not isinstance(d.message, but)
-    ]
-    require(not got, f"came unasked: {', '.join(got)}")
+    peer.require_came([], wait_ms, "unasked", but=but)
+
+
+def dies_of_silence(peer: Peer, what: str, send: Callable[[float], object]) -> None:
+    """Require BYE LINK_TIMEOUT in time after a last heartbeat, although ``send`` sends ``what`` meanwhile.
+
+    ``send`` gets the ms since that heartbeat.
+    """
+    begin_ns = peer.now_ns
+    peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
+    while (waited_ms := (peer.now_ns - begin_ns) / MS) < peer.timeout_ms + SLACK_MS:
+        send(waited_ms)
+        for _, message in peer.arriving(4, beating=False):
+            answered = isinstance(message, HeartbeatReply) and message.sent_ns != begin_ns
+            answered |= isinstance(message, Welcome)
+            require(not answered, f"it was answered: {what}")
+            if message == Bye(Reason.LINK_TIMEOUT):
+                peer.session = 0
+                return
+    raise Failed(f"the session lived on {what}")
 
 
 @case(200, "4.9", "HELLO is answered with WELCOME")
@@ -68,9 +81,8 @@ def right_arm(peer: Peer) -> None:
     require(peer.open(arm_hash=right).arm_hash == right, "the hash changed")
 
 
-@case(211, "4.5", "a second client is refused with SESSION_OCCUPIED and the first does not notice")
+@case(211, "4.5", "a second client is refused with SESSION_OCCUPIED and the first does not notice", opens=50)
 def second_client(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     peer.collect(RATION_MS)
     hello(other, other.nonce())
@@ -78,9 +90,8 @@ def second_client(peer: Peer) -> None:
     peer.alive("after a second client's HELLO")
 
 
-@case(212, "4.5", "once the first client has left, the second is welcome")
+@case(212, "4.5", "once the first client has left, the second is welcome", opens=50)
 def second_after_first(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     peer.leave()
     other.open()
@@ -88,19 +99,15 @@ def second_after_first(peer: Peer) -> None:
     other.leave()
 
 
-@case(213, "4.5", "a client that restarts at the same address gets a new session at once")
+@case(213, "4.5", "a client that restarts at the same address gets a new session at once", opens=50)
 def restart_in_place(peer: Peer) -> None:
-    peer.open()
     old = peer.session
     begin_ns = peer.now_ns
     peer.open()
     require(peer.session != old, "the old session's number was given again")
     require((peer.now_ns - begin_ns) / MS < peer.timeout_ms, "only after the link timeout")
     peer.alive("the new session")
-    refused = peer.send(stop(peer), session=old)
-    require(
-        not peer.answers("a request of the old session"), f"{len(refused)} bytes of the old session were used"
-    )
+    refused(peer, [peer.encoded(stop(peer), session=old)], "a request of the old session")
 
 
 @case(214, "4.5", "a client that restarts at another address gets in after the link timeout")
@@ -128,19 +135,16 @@ def delayed_hello(peer: Peer) -> None:
 def unknown_session(peer: Peer) -> None:
     peer.collect(RATION_MS, beating=False)
     peer.send(stop(peer), session=0x1234)
-    datagram = peer.receive(ANSWER_MS, beating=False)
-    if datagram is None or datagram.message != Bye(Reason.UNKNOWN_SESSION):
-        raise Failed(f"came {datagram.message if datagram else 'nothing'}")
-    require(datagram.header.session == 0x1234, "BYE does not name the session that was asked for")
+    header, message = known(peer.receive(ANSWER_MS, beating=False), "nothing came")
+    require(message == Bye(Reason.UNKNOWN_SESSION), f"came {message}")
+    require(header.session == 0x1234, "BYE does not name the session that was asked for")
 
 
-@case(218, "3.5", "a request of this session from another port is not used")
+@case(218, "3.5", "a request of this session from another port is not used", opens=50)
 def wrong_source(peer: Peer) -> None:
-    peer.open()
     other = peer.second()
     other.send_raw(peer.encoded(stop(peer)))
-    answered = [d for d in other.collect(60, beating=False) if not isinstance(d.message, Bye)]
-    require(not answered, "another source was answered")
+    other.require_came([], 60, "another source was answered", but=Bye)
     require(not peer.answers("a request from another port"), "another source's request was executed")
 
 
@@ -150,6 +154,5 @@ def wrong_direction(peer: Peer) -> None:
     peer.send(welcome)
     peer.send(HeartbeatReply(1, 2, 3))
     peer.send(Acknowledgement(peer.new_id(), Reason.ACCEPTED, 0.0, 0.0))
-    got = [d.message for d in peer.collect(60, beating=False) if not isinstance(d.message, State)]
-    require(not got, f"came {got}")
+    silent(peer, 60)
     peer.alive("after messages of the wrong direction")

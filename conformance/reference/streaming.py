@@ -11,12 +11,14 @@ from conformance.peer import Peer
 from conformance.reference.motion import (
     DRIFT_M,
     STEP_M,
+    accepted,
     disabled,
     enabled,
-    expect_reason,
     moved,
     reach,
+    require_near,
     require_reason,
+    require_shown,
 )
 from conformance.wire import ANSWER_MS, MS, Unsupported, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -82,26 +84,30 @@ class Stream:
 def streamless(peer: Peer, period_ms: int = 20) -> State:
     """A session with the capability, the group DISABLED; its STATE. Raises Unsupported without it."""
     disabled(peer, capabilities=BOTH, period_ms=period_ms)
-    assert peer.welcome is not None
     if not peer.welcome.capabilities & CAPABILITY_STREAMING:
         raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     return peer.state()
+
+
+def opened_stream(peer: Peer) -> Stream:
+    """A new stream, in STANDBY. Raises Unsupported when streaming is not granted."""
+    if peer.welcome.capabilities & BOTH != BOTH:
+        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
+    request = Command(peer.new_id(), CommandCode.START_STREAM)
+    return Stream(peer, accepted(peer, request, "START_STREAM in STANDBY"))
 
 
 def opened(peer: Peer, period_ms: int = 20) -> tuple[Stream, State]:
     """An open stream without a reference yet, and a STATE in it. Raises Unsupported when it cannot be."""
     streamless(peer, period_ms)
     enabled(peer)
-    request = Command(peer.new_id(), CommandCode.START_STREAM)
-    expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")
-    return Stream(peer, request.command_id), reach(peer, GroupState.MOVING, "after START_STREAM")
+    return opened_stream(peer), reach(peer, GroupState.MOVING, "after START_STREAM")
 
 
 @case(541, "12.1", "streaming that was not negotiated: NOT_NEGOTIATED")
 def not_negotiated(peer: Peer) -> None:
     streamless(peer)
-    peer.leave()
-    peer.open(capabilities=CAPABILITY_PATHS, period_ms=20)
+    peer.reopen(capabilities=CAPABILITY_PATHS, period_ms=20)
     here = peer.state().X_BT
     require_reason(peer, CommandCode.START_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
     require_reason(peer, CommandCode.END_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
@@ -119,12 +125,10 @@ def state_first(peer: Peer) -> None:
 def starts(peer: Peer) -> None:
     stream, state = opened(peer)
     require(bool(state.flags & FLAG_STREAMING), "the flag STREAMING is not set")
-    require(state.motion_id == stream.stream_id, "motion_id is not the stream's")
-    require(not state.motion_done, "done before it began")
+    require_shown(state, "at the start", motion_id=stream.stream_id, motion_done=False)
     peer.collect(200)
     later = peer.state()
     require(later.X_BT_cmd == state.X_BT_cmd, "the commanded pose moves without a reference")
-    peer.command(CommandCode.STOP)
 
 
 @case(550, "12.3", "what is followed is not acknowledged; STATE names the newest", motion=True)
@@ -137,7 +141,6 @@ def not_acknowledged(peer: Peer) -> None:
     require(states[-1].stream_number < stream.number, "stream_number is ahead of what was sent")
     answers = [d for d in peer.passed_over if isinstance(d.message, Acknowledgement)]
     require(not answers, "a streamed reference was acknowledged")
-    peer.command(CommandCode.STOP)
 
 
 @case(551, "12.7", "the commanded pose goes to the reference without a step and rests there", motion=True)
@@ -147,11 +150,9 @@ def follows(peer: Peer) -> None:
     states = stream.feed(goal, 2500.0)
     steps = [math.dist(a.X_BT_cmd.p_m, b.X_BT_cmd.p_m) for a, b in pairwise(states)]
     require(max(steps) < STEP_M, f"the commanded pose jumped by {max(steps) * 1e3:.1f} mm")
-    require(math.dist(states[-1].X_BT_cmd.p_m, goal.p_m) < 1e-6, "it is not where the reference is")
-    require(states[-1].group_state is GroupState.MOVING, "the stream ended by itself")
-    require(not states[-1].motion_done, "a stream that is open is done")
+    require_near(states[-1].X_BT_cmd, goal, 1e-6, "the commanded pose, from the reference")
+    require_shown(states[-1], "in an open stream", group_state=GroupState.MOVING, motion_done=False)
     stream.feed(state.X_BT_cmd, 2500.0)
-    peer.command(CommandCode.STOP)
 
 
 def silenced(peer: Peer) -> tuple[Stream, State]:
@@ -188,7 +189,6 @@ def no_resume(peer: Peer) -> None:
     stream.refused(ahead, Reason.NOT_STREAMING, "a reference of the old stream in a new one")
     drift = math.dist(peer.state().X_BT.p_m, state.X_BT.p_m)
     require(drift < DRIFT_M, f"the arm went on by {drift * 1e3:.1f} mm")
-    peer.command(CommandCode.STOP)
 
 
 @case(555, "12.10", "END_STREAM leads to the newest reference, and the motion is done there", motion=True)
@@ -198,20 +198,19 @@ def ends(peer: Peer) -> None:
     stream.feed(goal, 300.0)
     require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     stream.refused(state.X_BT_cmd, Reason.NOT_STREAMING, "a reference after END_STREAM")
-    until_ns = peer.now_ns + 20_000 * MS
-    while peer.now_ns < until_ns and not (seen := peer.state()).motion_done:
+    for seen in peer.states(20_000):
+        if seen.motion_done:
+            break
         require(not seen.flags & FLAG_STREAMING, "the flag STREAMING is still set")
-    require(seen.motion_done, "not done within 20 s")
-    require(seen.motion_id == stream.stream_id, "motion_id is not the stream's")
-    require(math.dist(seen.X_BT_cmd.p_m, goal.p_m) < 1e-6, "it is not where the newest reference was")
+    require_shown(seen, "within 20 s", motion_done=True, motion_id=stream.stream_id)
+    require_near(seen.X_BT_cmd, goal, 1e-6, "the commanded pose, from the reference")
 
 
 @case(556, "12.2", "a stream closes with its session", motion=True)
 def closes(peer: Peer) -> None:
     stream, state = opened(peer)
     stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 200.0)
-    peer.leave()
-    peer.open(period_ms=20, capabilities=BOTH)
+    peer.reopen(period_ms=20, capabilities=BOTH)
     stream.give(state.X_BT_cmd)
     got = peer.expect(StreamRefused, "a reference of a stream of another session", ANSWER_MS)
     known = (Reason.NOT_STREAMING, Reason.ERROR_LATCHED, Reason.DISABLED)

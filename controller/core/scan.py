@@ -8,6 +8,7 @@ import numpy as np
 
 from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
+from controller.core.parking.joint import joints_in_motion
 from controller.core.parking.parking import control_step
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
 from controller.core.references.streaming import pace, silence, update_fade
@@ -24,6 +25,7 @@ from controller.core.scan_types import (
 from controller.core.servo.joint_control import JointFilters, Pressures, unmoved
 from controller.core.servo.servo_step import (
     FURTHEST,
+    HELD,
     LOAD,
     PILOT,
     PT1,
@@ -39,8 +41,9 @@ from controller.core.servo.servo_step import (
     servo_step,
     tool_state,
 )
+from controller.core.servo.settling import MOVING
 from controller.core.settings import ScanSettings
-from controller.core.standing import parking_before, standing_after, stands_now
+from controller.core.standing import is_settled, rest_after, rest_before, stands_now
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode
@@ -158,39 +161,37 @@ def _drive_valves(
     """``state`` with new valve commands: (4), (5), (6), (25) while live, else centred."""
     if not is_live(state):
         return _centre_valves(settings, state)
-    share = pace(state.fade)
-    desired = state.motion.desired
+    desired, (settling, parking) = state.motion.desired, rest_before(state)
     circuit, slow_load = _circuit(settings, state)
     given = ServoInput(
         state.tool,
         desired,
-        share,
+        pace(state.fade),
         state.watch.q_meas,
         state.servo.q_cmd,
         state.filters,
         _pressures(settings, state),
         circuit,
         slow_load,
+        settling,
     )
     out = np.empty((ROWS, 6))
-    if settings.parking is None:
-        finite, settled = servo_step(settings.servo, given, dt_s, out)
+    if settings.parking is None or not stands_now(state):
+        finite, stands = servo_step(settings.servo, given, dt_s, out)
+        stands = stands and bool(out[HELD].all())  # what an integral still drives will move
     else:
-        parking, turned = parking_before(state), state.watch.turned
-        finite, settled = control_step(
-            settings.servo, settings.parking, given, turned, stands_now(state), out, parking
+        settled = is_settled(settings, state)
+        finite, stands = control_step(
+            settings.servo, settings.parking, given, state.watch.qd_meas, settled, out, parking
         )
-        if finite:
-            state = standing_after(settings, state, parking, events)
     if not finite:
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
         return _centre_valves(settings, state)
-    inside = state.motion.path is None and settled
+    state = rest_after(settings, state._replace(parking=parking), stands, out, events)
     return state._replace(
         servo=ServoOutput(out[Q_CMD], out[QD_CMD], out[VALVES], desired.v),
         filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST], out[PILOT]),
-        settled_s=state.settled_s + dt_s if inside else 0.0,
     )
 
 
@@ -213,7 +214,13 @@ def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
 def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
     """``state`` at rest; the slow load pressure follows the load, so enabling starts without a kick."""
     filters = unmoved(_pressures(settings, state).load, state.filters.pilot)
-    return state._replace(servo=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
+    return state._replace(
+        servo=idle(state.watch.q_meas),
+        filters=filters,
+        settled_s=0.0,
+        settling=MOVING,
+        parking=joints_in_motion(),
+    )
 
 
 def _rearm_watchdog(state: ScanState) -> ScanState:
@@ -249,12 +256,10 @@ def _pose(p: np.ndarray, quaternion: np.ndarray) -> Pose:
 def _view(settings: ScanSettings, state: ScanState, sensed_ns: int) -> ControllerView:
     watch, motion = state.watch, state.motion
     healthy = link_lost(settings, watch) is None and cycle_frozen(settings, watch) is None
-    stays = settings.parking is None or state.standing.rests
-    settled = stays and state.mode is Mode.STANDBY and state.settled_s >= settings.settled.time
     flags = (
         (FLAG_PLANT_LINK_OK if healthy else 0)
         | (FLAG_EMERGENCY_LATCHED if state.mode is Mode.EMERGENCY else 0)
-        | (FLAG_SETTLED if settled else 0)
+        | (FLAG_SETTLED if is_settled(settings, state) else 0)
         | (FLAG_STREAMING if state.mode is Mode.STREAMING else 0)
     )
     X_BT = _pose(state.tool.p_BT, state.tool.quaternion)

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.parking.joint import Joints, joints_at_start
+from controller.core.parking.joint import Joints, joints_in_motion
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.references.streaming import OpenStream
 from controller.core.servo.joint_control import JointFilters, unmoved
 from controller.core.servo.servo_step import ToolState, tool_state
+from controller.core.servo.settling import MOVING, Settling
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
 from controller.core.trajectories.motion import DesiredMotion, holding
@@ -99,29 +100,15 @@ class ScanOutput(NamedTuple):
     events: tuple[ScanEvent, ...]
 
 
-class Standing(NamedTuple):
-    """How far the arm has come to rest since its motion ended, ``since_s`` ago, where it parks.
-
-    ``rests``: no joint is brought nearer any more; ``parked``: it has been quiet for long; ``astray``: the
-    parked tool is further from its place than is told.
-    """
-
-    since_s: float
-    rests: bool
-    parked: bool
-    astray: bool
-
-
-MOVES = Standing(0.0, False, False, False)
-
-
 class ScanState(NamedTuple):
     """What a scan leaves to the next. Arrays are never written to.
 
-    ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
-    tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see ``update_fade``.
+    ``fault``: the first one since the last reset. ``settled_s``: how long the arm has stood
+    still inside the tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see
+    ``update_fade``.
     ``rearming``: scans in a row in which the plant's watchdog was asked to be re-armed. ``parking``: see
-    ``parking.joint``; ``standing``: how far the arm has come to rest.
+    ``parking.joint``; ``settling``: how far the joints have come to rest;
+    ``settled_at``: the tool's place p_BT (3,), m, when the arm settled.
     """
 
     cycle: int
@@ -139,7 +126,8 @@ class ScanState(NamedTuple):
     fade: float
     rearming: int
     parking: Joints
-    standing: Standing
+    settling: Settling
+    settled_at: Array
 
 
 def idle(q_meas: Array) -> ServoOutput:
@@ -167,6 +155,7 @@ def initial_state(settings: ScanSettings) -> ScanState:
         stream=None,
         fade=0.0,
         rearming=0,
-        parking=joints_at_start(settings.parking),
-        standing=MOVES,
+        parking=joints_in_motion(),
+        settling=MOVING,
+        settled_at=tool.p_BT,
     )

@@ -18,16 +18,14 @@ _CARRIED = 0.4  # [D] gain times lateness that a joint's loop bears: 23° of its
 # A joint's gain goes with the pace of its oil's spring: so long, times the gain, until a joint breaks away,
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3  # [E]
-_SETTLED = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
+_SETTLED = 0.9  # of the tolerance: a joint that may stay there does not leave it by the encoder's noise
+_EARLY = 0.1  # [E] of its deadband, before its edge: there a jog begins, however well that is known
 _DAMPING_MAX = 0.05  # [D] bounds joint speeds to 10 times the tool's next to a singularity
 # Singular value; exactly no damping above it: wrist 2 further than 4.5° from stretched.
 _DAMPING_ONSET = 0.05  # [D]
 _LOWERED_MRAD_S = 10.0  # [D] pilots are damped from this speed on; at rest nothing is lowered
-_BAND_LEAST_MRAD = 0.03  # [D] 0.6 of an encoder digit: the mean of half a second tells a tenth
 _SLOWEST_MRAD_S = 0.4  # [D] 8 digits a second: about the speed that a valve's edge is known to
-_FASTEST_MRAD_S = 10.0  # [D] 40 mm/s at 4 m
 _PATIENCE_MS = 6000.0  # [D] with valves that are known the joint law arrives sooner on the default arm [M]
-_QUIET_MM = 0.1  # [D] of the tool, by each joint: parked is what has moved no further for 10 s
 _HOLDS_NONE = LoadHolding(np.zeros(6), 1.0, 1.0, 1.0, np.ones(6))
 
 
@@ -37,6 +35,7 @@ def servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants
         joints=_joint_gains(config)._replace(holding=_load_holding(arm, config)),
         drives=drive_table(arm.drives),
         rated=rated_circuit(arm.rated),
+        dead_zone=config.pose_servo.dead_zone_mrad * _MRAD,
         tolerance=config.settled.tolerance_mrad * _MRAD,
     )
 
@@ -46,7 +45,6 @@ def _servo_gains(config: ControllerConfig) -> ServoGains:
     return ServoGains(
         position=servo.position_gain_1_s,
         orientation=servo.orientation_gain_1_s,
-        dead_zone=servo.dead_zone_mrad * _MRAD,
         damping_onset=_DAMPING_ONSET,
         damping_max=_DAMPING_MAX,
     )
@@ -117,25 +115,22 @@ def _parking_law(config: ControllerConfig) -> ParkingLaw:
     half_std = np.array([[0.5 * valve.hysteresis.std] for valve in valves])
     std = np.array([[edge.deadband.std for edge in (valve.raising, valve.lowering)] for valve in valves])
     gain, late = _joint_gains(config).gain, _lateness(config)
+    deadband = _edges(config.valves, "deadband") + half
+    doubt = np.maximum(np.hypot(std, half_std), np.where(exact[:, None], 0.0, _EARLY * deadband))
     return ParkingLaw(
         band=parking.band_mm * _MM,
-        band_least=_BAND_LEAST_MRAD * _MRAD,
         band_most=PARKING_BAND_MOST_MRAD * _MRAD,
         slowest=_SLOWEST_MRAD_S * _MRAD,
-        fastest=_FASTEST_MRAD_S * _MRAD,
         patience=_PATIENCE_MS * _MS,
-        calm_travel=parking.calm_mm * _MM,
-        calm=parking.calm_ms * _MS,
-        settled=_SETTLED * config.settled.tolerance_mrad * _MRAD,
-        give_up=parking.stays_ms * _MS,
-        quiet=_QUIET_MM * _MM,
-        deadband=_edges(config.valves, "deadband") + half,
-        spread=np.hypot(std, half_std),
+        tolerance=_SETTLED * config.settled.tolerance_mrad * _MRAD,
+        stays=parking.stays_ms * _MS,
+        early=np.maximum(deadband - doubt, 0.0),
+        doubt=doubt,
+        surely_open=surely_open(config.valves),
         latest=late + _BREAKS_AWAY / gain,
         shutting=late + _RUNS_ON / gain,
         loaded=np.array(parking.loaded, dtype=float),
         oil_spring=np.where(exact, 0.0, parking.oil_mrad_bar) * _MRAD,
-        surely_open=surely_open(config.valves),
         dt_s=config.cycle_ms * _MS,
     )
 

@@ -21,7 +21,6 @@ from nominal_arm.description import NominalArm
 
 _MS = 1e-3
 _MRAD = 1e-3
-_MM = 1e-3
 _SUPPLY_LOW_MS = 200.0  # [D] two axes at full flow may sag it for a moment
 _VALVES_ENABLE_MS = 250.0  # [D]
 _EXCHANGES_AT_MS = 5.0  # [D] limits that count exchanges hold from this cycle on
@@ -108,7 +107,6 @@ class ScanSettings:
     load_compensation: bool
     servo: ServoConstants
     parking: ParkingLaw | None
-    parking_alarm: float
     planning: PlanningLimits
     motion: MotionLimits
     stop: StopLimits
@@ -134,7 +132,6 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
         load_compensation=config.joint_control.load_compensation and not config.valves.pressure_compensated,
         servo=servo_constants(arm, config),
         parking=parking_law(config),
-        parking_alarm=config.parking.alarm_mm * _MM,
         planning=PlanningLimits(
             table=table,
             planned_range=joint_range + np.array([[margin], [-margin]]),

@@ -1,80 +1,57 @@
-"""The arm at the end of a motion: it comes to rest, is parked, and reports both."""
+"""The arm at the end of a motion: whether it is settled, and what is logged when it no longer is."""
 
 import numpy as np
 
-from controller.core.kinematics.rotations import norm
-from controller.core.parking.joint import Joints, ParkingLaw, joints_in_motion, offsets_from_place
-from controller.core.parking.rest import (
-    arm_parked,
-    arm_rested,
-    is_parked,
-    may_stop_here,
-    unsettled_joints,
-)
-from controller.core.scan_types import MOVES, ScanEvent, ScanState, Standing
+from controller.core.kinematics.rotations import Array, norm
+from controller.core.parking.joint import Joints, joints_in_motion
+from controller.core.scan_types import ScanEvent, ScanState
+from controller.core.servo.servo_step import ERROR, HELD, STOOD
+from controller.core.servo.settling import MOVING, Settling
 from controller.core.settings import ScanSettings
 from nominal_arm.description import JOINT_NAMES
 from protocol.axes_group import Mode
 
-_STILL_ASTRAY = 0.8  # [D] of the alarm's limit: nearer, a parked tool that was astray no longer is
+# Of the tolerance at the tool's distance: so far a settled tool may go on by its encoders; play before
+# them hides as much again.
+MOVED = 0.5  # [D]
 
 
 def stands_now(state: ScanState) -> bool:
-    """Whether the arm has no motion to make: it comes to rest, or is parked."""
+    """Whether the arm has no motion to make."""
     return state.motion.path is None and state.mode is Mode.STANDBY
 
 
-def parking_before(state: ScanState) -> Joints:
-    """A copy of how far the joints are parked, for this scan to go on from: at a motion's start none is."""
-    if stands_now(state) or state.standing == MOVES:
-        return state.parking.copy()
-    return joints_in_motion(state.parking)
+def is_settled(settings: ScanSettings, state: ScanState) -> bool:
+    """Whether every joint has stood still inside the tolerance for long enough, and is inside it now."""
+    return state.mode is Mode.STANDBY and state.settled_s >= settings.settled.time
 
 
-def standing_after(
-    settings: ScanSettings, state: ScanState, parking: Joints, events: list[ScanEvent]
+def rest_before(state: ScanState) -> tuple[Settling, Joints]:
+    """Of how far the arm has come to rest, what this scan goes on from: a motion begins anew."""
+    if stands_now(state):
+        return state.settling, state.parking.copy()
+    return MOVING, joints_in_motion()
+
+
+def rest_after(
+    settings: ScanSettings, state: ScanState, stands: bool, out: Array, events: list[ScanEvent]
 ) -> ScanState:
-    """``state`` with ``parking`` as ``control_step`` left it; changes are added to ``events``."""
-    if not stands_now(state):
-        if state.standing.parked:
-            events.append(ScanEvent("unparked", state.mode.name, 0.0, 0.0))
-        return state._replace(parking=parking, standing=MOVES)
-    law, before = _law(settings), state.standing
-    since_s = before.since_s + law.dt_s
-    rests, parking = _at_rest(law, before.rests, since_s, parking, events)
-    parked = before.parked or (rests and is_parked(parking))
-    if parked and not before.parked:
-        parking = arm_parked(parking)
-    away = norm(state.tool.J_BT[:3] @ offsets_from_place(parking)) if parked else 0.0
-    astray = away > settings.parking_alarm * (_STILL_ASTRAY if before.astray else 1.0)
-    if parked and not before.parked:
-        events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
-    if astray and not before.astray:
-        events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
-    return state._replace(parking=parking, standing=Standing(since_s, rests, parked, astray))
+    """``state`` after a step of the servo that filled ``out`` and found whether all joints stand still.
 
-
-def _law(settings: ScanSettings) -> ParkingLaw:
-    assert settings.parking is not None
-    return settings.parking
-
-
-def _at_rest(
-    law: ParkingLaw, rests: bool, since_s: float, parking: Joints, events: list[ScanEvent]
-) -> tuple[bool, Joints]:
-    """Whether the arm rests ``since_s`` after its motion, and ``parking`` then.
-
-    A joint that does not come to rest in time is reported with how long it has been calm.
+    Once settled only where joints and tool are counts; who leaves its place is added to ``events``.
     """
-    if rests:
-        return True, parking
-    moving = np.flatnonzero(unsettled_joints(parking))
-    if len(moving) == 0:
-        return True, arm_rested(parking)
-    if since_s < law.give_up or not may_stop_here(law, parking):
-        return False, parking
-    calm = parking["watch"]["calm"]
-    events += [
-        ScanEvent("restless", JOINT_NAMES[joint].upper(), float(calm[joint]), law.calm) for joint in moving
-    ]
-    return True, arm_rested(parking)
+    settled, errors, p = is_settled(settings, state), np.abs(out[ERROR]), state.tool.p_BT
+    furthest, tolerance = int(errors.argmax()), settings.servo.tolerance
+    moved, allowed = norm(p - state.settled_at), MOVED * tolerance * norm(p)
+    inside, stays = errors[furthest] <= tolerance, not settled or moved <= allowed
+    if settled and stands_now(state) and not inside:
+        cause = JOINT_NAMES[furthest].upper()
+        events.append(ScanEvent("unsettled", cause, float(errors[furthest]), tolerance))
+    elif settled and stands_now(state) and not stays:
+        events.append(ScanEvent("unsettled", "TOOL", moved, allowed))
+    rests = stands_now(state) and inside and stays and (stands or settled)
+    return state._replace(
+        settling=Settling(out[HELD], out[ERROR], out[STOOD]),
+        settled_s=state.settled_s + settings.cycle_s if rests else 0.0,
+        settled_at=state.settled_at if settled else p,
+    )

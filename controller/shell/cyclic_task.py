@@ -1,12 +1,12 @@
 """The cycle: a body awaited once a period, at absolute deadlines."""
 
 import asyncio
-import time
 from collections.abc import Awaitable, Callable
 
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, initial_state
 from controller.core.settings import ScanSettings
+from foundation import clock
 from foundation.periods import DurationHistogram, PeriodicTimer
 from protocol.faults import CommandCode
 from protocol.pose import Pose
@@ -70,20 +70,21 @@ class CyclicTask:
 
     async def run(self) -> None:
         """Call the body until ``stop``. An exception of the body ends the task and is passed on."""
-        first_ns = time.monotonic_ns() + self._period_ns
+        first_ns = clock.now_ns() + self._period_ns
         self._starts = starts = _Deadlines(first_ns, self._period_ns)
-        if self._phase_ns > 0:
+        if self._phase_ns > 0 and clock.followed() is None:
             self._phases = _Deadlines(first_ns + self._phase_ns, self._period_ns)
         try:
             while not self._stopping:
                 passed = await starts.passed()
                 if passed == 0:
                     continue
-                late_ns = time.monotonic_ns() - starts.timer.deadline_ns
+                late_ns = clock.now_ns() - starts.timer.deadline_ns
                 self.lateness.add(late_ns)
                 self.recent.add(late_ns)
                 self.overruns += passed - 1
-                await self._body(passed * self._period_ns)
+                with clock.current().holding():
+                    await self._body(passed * self._period_ns)
         finally:
             starts.timer.close()
             if self._phases is not None:
@@ -98,12 +99,35 @@ class CyclicTask:
             await self._phases.passed()
 
 
+class _TickTimer:
+    """As PeriodicTimer, by the plant's clock."""
+
+    def __init__(self, first_ns: int, period_ns: int, on_ready: Callable[[], None]) -> None:
+        self.deadline_ns = first_ns - period_ns
+        self._period_ns = period_ns
+        self._on_ready = on_ready
+        self._next = clock.current().call_at(first_ns, on_ready)
+
+    def passed(self) -> int:
+        """How many deadlines have passed since the last call."""
+        count = (clock.now_ns() - self.deadline_ns) // self._period_ns
+        if count:
+            self.deadline_ns += count * self._period_ns
+            self._next = clock.current().call_at(self.deadline_ns + self._period_ns, self._on_ready)
+        return count
+
+    def close(self) -> None:
+        """Stop calling."""
+        self._next.cancel()
+
+
 class _Deadlines:
     """A periodic timer that can be awaited, by one at a time."""
 
     def __init__(self, first_ns: int, period_ns: int) -> None:
         self._woken: asyncio.Future[None] | None = None
-        self.timer = PeriodicTimer(first_ns, period_ns, self.wake)
+        kind = _TickTimer if clock.followed() else PeriodicTimer
+        self.timer: PeriodicTimer | _TickTimer = kind(first_ns, period_ns, self.wake)
 
     async def passed(self) -> int:
         """How many deadlines have passed since the last call, after waiting for one; 0 after ``wake``."""

@@ -22,6 +22,7 @@ from pymodbus.pdu.register_message import (
 
 from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
+from foundation import clock
 from foundation.event_log import EventLog
 from foundation.modbus import PlaceLost, StreamFramer, decoded
 from foundation.periods import DurationHistogram
@@ -42,8 +43,8 @@ class PlantConnection(asyncio.Protocol):
         self._held = b""
         self._transport: asyncio.Transport | None = None
         self._answer: asyncio.Future[ModbusPDU | None] | None = None
-        self._expires_s = 0.0
-        self._alarm: asyncio.TimerHandle | None = None
+        self._expires_ns = 0
+        self._alarm: clock.Cancellable | None = None
         self._loop = asyncio.get_running_loop()
 
     async def ask(self, request: ModbusPDU, within_s: float) -> ModbusPDU | None:
@@ -56,7 +57,7 @@ class PlantConnection(asyncio.Protocol):
         self._transaction = (self._transaction + 1) & 0xFFFF
         answer: asyncio.Future[ModbusPDU | None] = self._loop.create_future()
         self._answer = answer
-        self._expires_s = time.monotonic() + within_s
+        self._expires_ns = clock.now_ns() + round(1e9 * within_s)
         if self._alarm is None:
             self._look_at_clock()
         request.dev_id, request.transaction_id = self._unit_id, self._transaction
@@ -65,6 +66,10 @@ class PlantConnection(asyncio.Protocol):
             return await answer
         finally:
             self._answer = None
+
+    def give_up(self) -> None:
+        """Wait no longer: the plant leaves what it was asked unanswered."""
+        self._fail(TimeoutError("the plant leaves it unanswered"))
 
     def close(self) -> None:
         """Close the connection at once."""
@@ -102,9 +107,8 @@ class PlantConnection(asyncio.Protocol):
         self._alarm = None
         if self._answer is None or self._answer.done():
             return
-        left_s = self._expires_s - time.monotonic()
-        if left_s > 0.0:
-            self._alarm = self._loop.call_later(left_s, self._look_at_clock)
+        if clock.now_ns() < self._expires_ns:
+            self._alarm = clock.current().call_at(self._expires_ns, self._look_at_clock)
         else:
             self._fail(TimeoutError("no answer in time"))
 
@@ -114,6 +118,7 @@ class PlantConnection(asyncio.Protocol):
 
 
 _WATCHDOG_EXPIRED = 4
+_CONNECT_S = 5.0
 _EXCHANGE = ReadWriteMultipleRegistersResponse.function_code
 
 
@@ -150,6 +155,16 @@ class PlantLink:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
+
+    async def connected(self) -> None:
+        """Return once there is a connection, after _CONNECT_S without one."""
+        if self._connecting is not None:
+            await asyncio.wait([self._connecting], timeout=_CONNECT_S)
+
+    def give_up(self) -> None:
+        """Wait no longer for an answer."""
+        if self._connection is not None:
+            self._connection.give_up()
 
     async def exchange(self, valve_words: Sequence[int]) -> list[int] | PlantRefusal | None:
         """The plant's words after it took ``valve_words``; None or a refusal when not, and counted."""
@@ -210,14 +225,15 @@ class PlantLink:
         for attempt in itertools.count():
             if self._closing:
                 return
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError), clock.current().holding():
                 self._connection = await self._connected()
                 self.connections += 1
                 self._log.write("plant_connected", address=where, connections=self.connections)
                 return
             if attempt == 0:
                 self._log.write("plant_unreachable", "warning", cause="plant_link.unreachable", address=where)
-            await asyncio.sleep(self._config.reconnect_ms * 1e-3)
+            pause_s = self._config.reconnect_ms * 1e-3
+            await (clock.sleep(pause_s) if self.connections else asyncio.sleep(pause_s))
 
     async def _connected(self) -> PlantConnection:
         async with asyncio.timeout(self._timeout_s):

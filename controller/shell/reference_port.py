@@ -10,12 +10,12 @@ import asyncio
 import contextlib
 import socket
 import struct
-import time
 from collections import Counter
 
 from controller.config import ReferenceLinkConfig
 from controller.core.arrivals import A_CYCLE, Arrivals
 from controller.core.inbox import Inbox
+from foundation import clock
 from foundation.event_log import EventLog
 from foundation.secret_source import bound_udp
 from protocol.datagram_layout import MAX_DATAGRAM_BYTES
@@ -96,6 +96,7 @@ class ReferencePort:
         self._log = log
         self._inbox = Inbox()
         self._peers: _Reader | None = None
+        self._peer: object = None  # whom it is connected to; kept after the session, for who greets at once
         self._peer_asked: dict[object, bytes] = {}  # kept while strangers fill the other one
         self._socket = bound_udp(config.host, config.port, "controller.reference_link")
         _enlarge(self._socket)
@@ -117,7 +118,7 @@ class ReferencePort:
 
     def close(self) -> None:
         """Say goodbye to the peer and release the port."""
-        now_ns = time.monotonic_ns()
+        now_ns = clock.now_ns()
         self._report_events(self.server.close(now_ns, Reason.SHUTDOWN))
         self._send()
         self._rejoin()
@@ -158,7 +159,7 @@ class ReferencePort:
         return [self._everybodys] if self._peers is None else [self._peers, self._everybodys]
 
     def _budget(self, reader: _Reader) -> int:
-        if reader is self._everybodys and self._peers is not None:
+        if reader is self._everybodys and self._peers is not None and self.server.session is not None:
             return _STRANGERS_A_CYCLE
         return A_CYCLE if self.server.session is not None else _ANYBODYS_A_CYCLE
 
@@ -192,13 +193,14 @@ class ReferencePort:
             self._resume(reader)
         elif reader.left <= 0 and not reader.paused:
             self._pause(reader)
-        self._report_events(self.server.receive_batch(slice_, time.monotonic_ns()))
+        self._report_events(self.server.receive_batch(slice_, clock.now_ns()))
         self._send()
 
     def _send(self) -> None:
-        for data, source in self.server.outgoing(time.monotonic_ns()):
+        for data, source in self.server.outgoing(clock.now_ns()):
+            clock.current().sent = True
             with contextlib.suppress(OSError):  # the peer's absence is found by its silence
-                at = self._peer_asked.get(source) or self._everybodys.asked.get(source)
+                at = self._everybodys.asked.get(source) or self._peer_asked.get(source)
                 if at is None:
                     self._socket.sendto(data, source)  # type: ignore[call-overload]
                 else:  # an answer leaves from the address that was asked
@@ -207,13 +209,12 @@ class ReferencePort:
 
     def _report_events(self, events: list[ServerEvent]) -> None:
         for answer in self._inbox.put(events):
-            self.server.acknowledge(answer, time.monotonic_ns())
+            self.server.acknowledge(answer, clock.now_ns())
         for event in events:
             if isinstance(event, SessionOpened):
                 self._part(event.source)
                 self._log.write("session_opened", session=f"{event.session:x}", peer=str(event.source))
             elif isinstance(event, SessionClosed):
-                self._rejoin()
                 self._log.write("session_closed", session=f"{event.session:x}", reason=event.reason.name)
             elif isinstance(event, DatagramDropped):
                 self._count_drop(event.cause, event.detail, 1)
@@ -225,9 +226,11 @@ class ReferencePort:
 
     def _part(self, peer: object) -> None:
         """A socket of the peer's own, from now on; without one all share the first, as before."""
+        at = self._everybodys.asked.get(peer)
+        if self._peers is not None and peer == self._peer and at in (None, self._peer_asked.get(peer)):
+            return
         self._rejoin()
-        if peer in self._everybodys.asked:
-            self._peer_asked = {peer: self._everybodys.asked[peer]}
+        self._peer_asked = {} if at is None else {peer: at}
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         own.setblocking(False)
         _enlarge(own)
@@ -235,14 +238,13 @@ class ReferencePort:
             # Two sockets may have one port only while both agree; a second controller shall not get it.
             for each in (self._socket, own):
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            at = self._everybodys.asked.get(peer)
             own.bind(self.address if at is None else (socket.inet_ntoa(at), self.address[1]))
             own.connect(peer)  # type: ignore[arg-type]
         except OSError as error:
             own.close()
             self._log.write("peer_not_parted", "warning", cause="link.shared_socket", detail=str(error))
         else:
-            self._peers = _Reader(own)
+            self._peers, self._peer = _Reader(own), peer
             self._watch(self._peers)
         finally:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)

@@ -2,10 +2,10 @@
 
 import asyncio
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -17,16 +17,16 @@ from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import ControllerView, ScanEvent, ScanInput, ScanOutput
 from foundation.event_log import EventLog, Level
 from foundation.recording.beginning import session_entries
-from foundation.recording.mcap_file import Entries, Topic
+from foundation.recording.mcap_file import Topic
 from foundation.recording.messages import (
     MessageField,
     RecordingThread,
-    RecordSink,
     format_of,
     log_line,
     message_class,
     posed,
 )
+from foundation.recording.recorder import OpenSink, ServiceRecorder
 from nominal_arm.commissioned import Basis
 from nominal_arm.description import JOINT_NAMES, NominalArm
 from protocol.errors import ConfigurationError
@@ -42,7 +42,7 @@ class TrialFile(NamedTuple):
     path: Path
     samples: list[ExcitationSample]
     strokes: tuple[Stroke, ...]
-    told: dict[str, Any]
+    summary: dict[str, Any]
 
 
 class TrialRecords:
@@ -68,7 +68,7 @@ class TrialRecords:
         self._program = program
         self._log = log
         self._stroke = 0
-        self._told: dict[str, Any] = {
+        self._summary: dict[str, Any] = {
             "basis": basis.model_dump(),
             "finished": [],
             "ended_by": None,
@@ -76,7 +76,7 @@ class TrialRecords:
         }
         self._files: list[asyncio.Task[None]] = []
         if program.plan is not None and directory is not None:
-            _summarise(directory, self._told)
+            summarise(directory, self._summary)
 
     def follow(self) -> None:
         """See to what the latest scan left behind."""
@@ -85,9 +85,9 @@ class TrialRecords:
             return
         if trials.stroke != self._stroke:
             name = JOINT_NAMES[plan.strokes[self._stroke].joint]
-            finished = [*self._told["finished"], name]
+            finished = [*self._summary["finished"], name]
             whole = trials.finished(plan)
-            self._told = self._told | {"finished": finished, "ended_by": None, "whole": whole}
+            self._summary = self._summary | {"finished": finished, "ended_by": None, "whole": whole}
             self._keep(plan, f"trial_{name}.jsonl")
         elif trials.excitation is None or trials.excitation.phase is Phase.ENDED:
             name = JOINT_NAMES[plan.strokes[self._stroke].joint]
@@ -95,7 +95,7 @@ class TrialRecords:
             broken = {"cause": "commissioning.stopped", "joint": name, "value": 0.0, "limit": 0.0}
             if trouble is not None:
                 broken = trouble._asdict() | {"joint": JOINT_NAMES[trouble.joint]}
-            self._told = self._told | {"ended_by": broken}
+            self._summary = self._summary | {"ended_by": broken}
             self._keep(plan, f"trial_{name}_unfinished.jsonl")
         self._stroke = trials.stroke
 
@@ -107,14 +107,14 @@ class TrialRecords:
         assert self._directory is not None
         samples, self._program.samples = self._program.samples, []
         before = self._files[-1] if self._files else None
-        recording = TrialFile(self._directory / name, samples, plan.strokes, self._told)
+        recording = TrialFile(self._directory / name, samples, plan.strokes, self._summary)
         self._files.append(asyncio.ensure_future(self._write_scans(before, recording)))
 
     async def _write_scans(self, before: asyncio.Task[None] | None, recording: TrialFile) -> None:
         if before is not None:
             await before  # in their order, so that the newest summary is written last
         try:
-            await asyncio.to_thread(_write, recording)
+            await asyncio.to_thread(write_trial, recording)
         except OSError as error:
             why = f"{recording.path}: {error.strerror}"
             self._log.write("trial_record_failed", "error", cause="recording.unwritable", detail=why)
@@ -122,21 +122,23 @@ class TrialRecords:
             self._log.write("trial_record", path=str(recording.path), scans=len(recording.samples))
 
 
-def _write(recording: TrialFile) -> None:
+def write_trial(recording: TrialFile) -> None:
+    """Write the file and its summary. Raises OSError."""
     path, partial = recording.path, recording.path.with_suffix(".partial")
     with partial.open("w", encoding="utf-8") as file:
-        header = {"basis": recording.told["basis"], "strokes": [list(each) for each in recording.strokes]}
+        header = {"basis": recording.summary["basis"], "strokes": [list(each) for each in recording.strokes]}
         file.write(json.dumps(header) + "\n")
         for sample in recording.samples:  # one at a time, so that the scan gets the interpreter in between
             row = sample._replace(q=sample.q.tolist())
             file.write(json.dumps(list(row)) + "\n")
     partial.replace(path)
-    _summarise(path.parent, recording.told)
+    summarise(path.parent, recording.summary)
 
 
-def _summarise(directory: Path, told: dict[str, Any]) -> None:
+def summarise(directory: Path, summary: dict[str, Any]) -> None:
+    """Write the summary of the trials in ``directory``. Raises OSError."""
     partial = directory / f"{SUMMARY}.partial"
-    partial.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    partial.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     partial.replace(directory / SUMMARY)
 
 
@@ -207,74 +209,36 @@ TOPICS = (
     Topic(FRAMES, format_of(FrameTransforms), _frames_bytes),
     Topic(LOG, format_of(Log), _log_bytes),
 )
-_STATE, _FRAMES, _LOG = range(len(TOPICS))
 
 
-class RecordingJournal(Protocol):
-    """Where it is said that nothing more can be recorded."""
-
-    def write(self, event: str, level: Level = "info", /, **fields: Any) -> None:
-        """Write one event."""
-        ...
-
-
-class ScanRecorder:
-    """Records every ``every``-th scan, and all events. A call keeps references and waits for nothing.
-
-    ``dropped``: messages that a disk that hung left no room for.
-    """
+class ScanRecorder(ServiceRecorder):
+    """Records every ``every``-th scan, and all events. A call keeps references and waits for nothing."""
 
     def __init__(
         self,
         directory: Path,
         arm: NominalArm,
         config: ControllerConfig,
-        log: RecordingJournal,
         *,
         session: Mapping[str, str] | None = None,
-        made: Callable[[Path, Sequence[Topic], Entries], RecordSink] | None = None,
+        made: OpenSink | None = None,
     ) -> None:
         """Create controller.mcap in ``directory``; ``made`` opens it, by default a thread below the cycle's.
 
         Raises ConfigurationError when it cannot be written.
         """
-        said = {"arm": arm.model_dump(mode="json"), "controller": config.model_dump(mode="json")}
-        entries = session_entries("controller") if session is None else dict(session)
-        metadata = {"run": {"configuration": json.dumps(said)}, "session": entries}
+        run = {"arm": arm.model_dump(mode="json"), "controller": config.model_dump(mode="json")}
+        entries = session_entries("controller") if session is None else session
         opened = made or partial(RecordingThread, fifo_priority=config.fifo_priority)
-        try:
-            self._to = opened(directory / FILE, TOPICS, metadata)
-        except OSError as error:
-            why = f"--record-dir {directory}: {FILE}: {error.strerror}"
-            raise ConfigurationError("configuration.recording", why) from error
+        super().__init__(directory / FILE, TOPICS, run, entries, opened)
         self.every = max(round(1e3 / (config.recording_hz * config.cycle_ms)), 1)
-        self._log = log
-        self._told = False
-
-    @property
-    def written(self) -> int:
-        """How many messages were written."""
-        return self._to.written
-
-    @property
-    def dropped(self) -> int:
-        """How many messages were dropped."""
-        return self._to.dropped
 
     def scan(self, inputs: ScanInput, output: ScanOutput) -> None:
-        """Record a scan; say once when nothing more can be recorded."""
+        """Record a scan."""
         view, now_ns = output.view, inputs.now_ns
         if view.cycle % self.every == 0:
-            self._to.put(_STATE, (inputs, view), now_ns, now_ns)
-            self._to.put(_FRAMES, view, now_ns, now_ns)
+            self.put(STATE, (inputs, view), now_ns, now_ns)
+            self.put(FRAMES, view, now_ns, now_ns)
         for event in output.events:
             level: Level = "error" if event.name == "fault" else "info"
-            self._to.put(_LOG, (now_ns, level, event), now_ns, now_ns, wanted=True)
-        if self._to.failure and not self._told:
-            self._told = True
-            why = {"cause": "recording.unwritable", "detail": f"{self._to.path}: {self._to.failure}"}
-            self._log.write("recording_failed", "error", **why)
-
-    def close(self) -> None:
-        """Write what waits, and close the file."""
-        self._to.close()
+            self.put(LOG, (now_ns, level, event), now_ns, now_ns, wanted=True)

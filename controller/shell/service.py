@@ -28,14 +28,14 @@ from controller.shell.cyclic_task import CyclicTask, warm_up
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
 from controller.shell.scan_recorder import ScanRecorder, TrialRecords
+from foundation import clock
 from foundation.event_log import EventLog, Level
-from foundation.incidents import note_scheduling
-from foundation.live.feed import LiveShow, open_show
+from foundation.live.feed import LiveFeed, open_show
 from foundation.live.wire import Spread, exposition
-from foundation.periods import DurationHistogram, Limit, Tally, percent_missed, take_fifo
+from foundation.periods import DurationHistogram, percent_missed, take_fifo
 from foundation.recording.beginning import recording_directory
 from foundation.secret_source import read_key
-from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
+from foundation.self_watch import DiskWatch, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError, ImageRefused
@@ -68,8 +68,7 @@ _STATE_STATISTICS_NS = 1_000_000_000  # the window of the percentiles in the sta
 _SHUTDOWN_S = 1.4  # to ramp down after SIGTERM; the process must be gone within 2 s
 _AFTER_FAULT_NS = 300_000_000  # the flight recorder also keeps what followed
 _NS_PER_MS = 1_000_000
-_LEVELS: dict[str, Level] = {"fault": "error", "astray": "warning"}
-_LIMITS = {"scans": Limit(1.0, "of the controller's scans were late")}
+_LEVELS: dict[str, Level] = {"fault": "error", "unsettled": "warning"}
 
 
 class ControllerService:
@@ -97,7 +96,6 @@ class ControllerService:
         try:
             self._record_dir = recording_directory(options.record_dir)
             self._trials = TrialRecords(self._record_dir, self._program, basis_of(arm, config), log)
-            self._statistics = StatisticsFile(options.statistics, "controller", log, self._gathered)
             self._show, self._scans = self._open_records(arm)
         except ConfigurationError:
             self._reference.release()
@@ -113,39 +111,45 @@ class ControllerService:
         self._late_p50_us, self._late_p99_us = 0, 0
         self._percentiles_due_ns = 0
         self._stop_by_ns: int | None = None
-        self._told_to_leave = False
+        self._asked_to_leave = False
         self._dump_due_ns: int | None = None
         self._dumps: list[asyncio.Task[None]] = []
 
     async def run(self) -> int:
         """Serve until SIGTERM or SIGINT, then ramp down, centre the valves and say goodbye."""
         when_asked_to_end(self._asked_to_stop)
+        following = clock.followed()
         warm_up(self._program.settings)
+        if following is not None:
+            await following.join(round(self._config.cycle_ms * _NS_PER_MS))
         self._reference.open()
         self._plant.start()
+        if following is not None:
+            following.in_vain = self._plant.give_up
+            await self._plant.connected()
         self._scheduling = take_fifo(self._config.fifo_priority)
-        note_scheduling("controller", self._config.fifo_priority, self._scheduling)
         self._memory_mb = resident_mb()
         self._say_ready()
-        watch = SelfWatch(self._log, _LIMITS, self._work, self._record_dir)
-        beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
+        watch = DiskWatch(self._log, self._record_dir)
+        beside = asyncio.create_task(watch.keep_looking())
+        if following is not None:
+            following.ready()
         try:
             await self._task.run()
         finally:
-            for task in beside:
-                task.cancel()
+            beside.cancel()
             await self._shut_down()
         return 0
 
     async def _cycle(self, dt_ns: int) -> None:
         words = await self._plant.exchange(self._valve_words)
-        sensors, sensed_ns = self._decode_sensors(words), time.monotonic_ns()
+        sensors, sensed_ns = self._decode_sensors(words), clock.now_ns()
         await self._task.second_part()  # what comes meanwhile is in this scan too
-        now_ns = time.monotonic_ns()
+        now_ns = clock.now_ns()
         requests, alive = self._reference.take(now_ns)
-        leaving = self._stop_by_ns is not None and not self._told_to_leave
+        leaving = self._stop_by_ns is not None and not self._asked_to_leave
         if leaving:
-            self._told_to_leave = True
+            self._asked_to_leave = True
             requests = (*requests, Command(0, CommandCode.DISABLE))
         streamed = self._reference.take_streamed()
         inputs = ScanInput(now_ns, sensed_ns, dt_ns * 1e-9, sensors, requests, alive, streamed)
@@ -220,7 +224,13 @@ class ControllerService:
 
     def _asked_to_stop(self) -> None:
         if self._stop_by_ns is None:
-            self._stop_by_ns = time.monotonic_ns() + round(_SHUTDOWN_S * 1e9)
+            self._stop_by_ns = clock.now_ns() + round(_SHUTDOWN_S * 1e9)
+            # Also where the plant's time stands.
+            asyncio.get_running_loop().call_later(_SHUTDOWN_S, self._stop)
+
+    def _stop(self) -> None:
+        clock.current().leave()
+        self._task.stop()
 
     async def _shut_down(self) -> None:
         cycle = self._program.state.cycle + 1
@@ -236,20 +246,21 @@ class ControllerService:
             await asyncio.to_thread(self._scans.close)
         if self._show is not None:
             await asyncio.to_thread(self._show.close)
-        self._statistics.write()
-        self._log.write("stopped", cycles=self._task.lateness.count, overruns=self._task.overruns)
+        self._log.write("stopped", statistics=self._gathered())
 
-    def _open_records(self, arm: NominalArm) -> tuple[LiveShow | None, ScanRecorder | None]:
+    def _open_records(self, arm: NominalArm) -> tuple[LiveFeed | None, ScanRecorder | None]:
         """What is shown and what is recorded. Raises ConfigurationError."""
         config, recorded = self._config, self._record_dir is not None
         fifo = config.fifo_priority
         show = open_show("controller", config.live, "controller.live", self._log, self._metrics_text, fifo)
         if config.recording_hz == 0.0 or (show is None and not recorded):
             if show is not None:
-                show.feed.opened(False)(Path(), (), {})  # figures alone
+                show.opened(False)(Path(), (), {})  # figures alone
             return show, None
-        made = None if show is None else show.feed.opened(recorded, fifo)
-        return show, ScanRecorder(self._record_dir or Path(), arm, config, self._log, made=made)
+        made = None if show is None else show.opened(recorded, fifo)
+        scans = ScanRecorder(self._record_dir or Path(), arm, config, made=made)
+        scans.tell_failure(self._log.write)
+        return show, scans
 
     def _say_ready(self) -> None:
         host, port = self._reference.address
@@ -262,9 +273,6 @@ class ControllerService:
             boot_id=self._boot_id,
             live=None if self._show is None else self._show.address,
         )
-
-    def _work(self) -> dict[str, Tally]:
-        return {"scans": Tally(self._task.lateness.count, self._task.overruns)}
 
     def _metrics_text(self) -> str:
         """Its text for Prometheus; asked for by the thread that feeds the live face."""
@@ -291,11 +299,11 @@ class ControllerService:
             "plant_exchange_failures": dict(self._plant.failures),
             "plant_connections": self._plant.connections,
             "images_refused": self._images_refused,
-            "scan_records": 0 if self._scans is None else self._scans.written,
-            "scan_records_dropped": 0 if self._scans is None else self._scans.dropped,
+            "scan_records": 0 if self._scans is None else self._scans.sink.written,
+            "scan_records_dropped": 0 if self._scans is None else self._scans.sink.dropped,
             "reference_link": asdict(self._reference.server.statistics)
             | {"flooded": self._reference.flooded},
-            "live_dropped": 0 if self._show is None else self._show.feed.dropped,
+            "live_dropped": 0 if self._show is None else self._show.dropped,
             "rss_mb_at_start": self._memory_mb,
             "rss_mb": resident_mb(),
         }

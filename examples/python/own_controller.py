@@ -136,7 +136,7 @@ class Vision:
         self.link = ReferenceClient(nonce=1)
         self.link.connect(0)
         self.answers: list[Acknowledgement] = []
-        self.told: State | None = None
+        self.state: State | None = None
 
     def cycle(self, now_ns: int, count: int) -> int:
         """Hear, and say what is due."""
@@ -145,7 +145,7 @@ class Vision:
                 if isinstance(event, AcknowledgementReceived):
                     self.answers.append(event.acknowledgement)
                 elif isinstance(event, StateReceived):
-                    self.told = event.state
+                    self.state = event.state
         self.link.tick(now_ns)
         return sent(self.socket, [(data, self.peer) for data in self.link.outgoing(now_ns)])
 
@@ -168,24 +168,24 @@ def until(happened, limit_s: float) -> None:
 
 
 with controller.socket, vision.socket:
-    until(lambda: vision.told is not None, 5.0)
-    start = np.array(vision.told.X_BT.p_m)
-    goal = vision.told.X_BT._replace(p_m=tuple(start + np.array([0.2, 0.3, -0.2])))
+    until(lambda: vision.state is not None, 5.0)
+    start = np.array(vision.state.X_BT.p_m)
+    goal = vision.state.X_BT._replace(p_m=tuple(start + np.array([0.2, 0.3, -0.2])))
     vision.link.submit(ReferencePose(0, goal, 0.0), now_ns)
     until(lambda: len(vision.answers) == 1, 5.0)
     vision.link.submit(Command(0, CommandCode.ENABLE), now_ns)
     until(lambda: len(vision.answers) == 2, 5.0)
     moving = vision.link.submit(ReferencePose(0, goal, 0.0), now_ns)
-    until(lambda: vision.told.motion_id == moving and vision.told.motion_done, 30.0)
+    until(lambda: vision.state.motion_id == moving and vision.state.motion_done, 30.0)
 
 for asked, answer in zip(("pose", "enable", "pose"), vision.answers, strict=True):
     print(f"{asked}: {answer.reason.name}")
 times, *axes_m = np.array(way).T
-told_mm, true_mm = (
-    1e3 * np.linalg.norm(np.subtract(place, goal.p_m)) for place in (vision.told.X_BT.p_m, way[-1][1:])
+seen_mm, true_mm = (
+    1e3 * np.linalg.norm(np.subtract(place, goal.p_m)) for place in (vision.state.X_BT.p_m, way[-1][1:])
 )
 print(
-    f"by its encoders {told_mm:.1f} mm from the reference, in truth {true_mm:.1f} mm, after {times[-1]:.1f} s"
+    f"by its encoders {seen_mm:.1f} mm from the reference, in truth {true_mm:.1f} mm, after {times[-1]:.1f} s"
 )
 
 figure, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from foundation.configuration import HostName, StrictModel
+from foundation.configuration import Host, HostName, StrictModel
 from foundation.rest.tokens import TokenSources
 
 
@@ -15,7 +15,7 @@ class LiveSettings(StrictModel):
     claim to be. ``tokens``: who may look; compulsory where ``host`` is not loopback.
     """
 
-    host: str = Field("127.0.0.1", min_length=1)
+    host: Host = "127.0.0.1"
     port: int | None = Field(None, ge=0, le=65535)
     allowed_hosts: tuple[HostName, ...] = ()
     allowed_origins: tuple[str, ...] = ("file://",)

@@ -1,66 +1,49 @@
 """The live face as a process: of the service that started it, or shared by several.
 
-``python -m foundation.live own LISTENER LINK NAME`` takes over two sockets, and ends when the service does;
-``python -m foundation.live shared NAME PORT ORIGIN…`` serves on loopback, without a token, whoever of this
-user connects to the abstract socket NAME, until it is asked to end; pages of each ORIGIN may look. Other
-settings come as JSON on stdin.
+``python -m foundation.live NAME SETTINGS [LISTENER LINK]``, settings as JSON. It takes over the two
+sockets of one service, and ends when that does; without them it serves whoever of this user connects to the
+abstract socket NAME, until it is asked to end.
 """
 
-import argparse
 import asyncio
 import os
 import signal
 import socket
 import struct
 import sys
-from collections.abc import Sequence
 
-from foundation.event_log import EventLog, process_log
+from foundation.event_log import process_log
 from foundation.live import LiveSettings
 from foundation.live.face import LiveFace
 from foundation.live.feed import access_of
-from foundation.periods import take_policy
 from foundation.secret_source import bound_tcp
-from foundation.service_main import say_ready, signs_of_life, when_asked_to_end
+from foundation.service_main import say_ready, when_asked_to_end
 from protocol.errors import LongreachError
 
 _REFUSED = 2
+_SHARED = "longreach: vision, controller, and the plant's truth"
 
 
-async def _own(
-    settings: LiveSettings, listener: socket.socket, link: socket.socket, name: str, log: EventLog
-) -> None:
-    face = LiveFace(access_of(settings, "live"), log, name)
+async def _own(face: LiveFace, listener: socket.socket, link: socket.socket) -> None:
     reader, writer = await asyncio.open_connection(sock=link)
     async with await face.serve(listener):
         await face.fed(reader, writer)
 
 
-async def _serve_shared(name: str, port: int, origins: Sequence[str], log: EventLog) -> None:
-    settings = LiveSettings(port=port, allowed_origins=tuple(origins))
+async def _serve_shared(face: LiveFace, listener: socket.socket, feeds: socket.socket) -> None:
     stop = asyncio.Event()
     when_asked_to_end(stop.set)
-    face = LiveFace(access_of(settings, "live"), log, "longreach: vision, controller, and the plant's truth")
-    with (
-        bound_tcp(settings.host, port, "--foxglove") as listener,
-        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as feeds,
-    ):
-        feeds.bind("\0" + name)
 
-        async def fed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            if _is_ours(writer.get_extra_info("socket")):
-                await face.fed(reader, writer)
-            else:
-                writer.close()
+    async def fed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if _is_ours(writer.get_extra_info("socket")):
+            await face.fed(reader, writer)
+        else:
+            writer.close()
 
-        async with (
-            await face.serve(listener),
-            await asyncio.start_unix_server(fed, sock=feeds),
-            signs_of_life(),
-        ):
-            host, port = listener.getsockname()[:2]
-            say_ready("live", viewers={"host": host, "port": port})
-            await stop.wait()
+    async with await face.serve(listener), await asyncio.start_unix_server(fed, sock=feeds):
+        host, port = listener.getsockname()[:2]
+        say_ready("live", viewers={"host": host, "port": port})
+        await stop.wait()
 
 
 def _is_ours(peer: socket.socket) -> bool:
@@ -71,23 +54,23 @@ def _is_ours(peer: socket.socket) -> bool:
 
 def main() -> int:
     """Exit status of the process."""
-    parser = argparse.ArgumentParser("python -m foundation.live", description=__doc__)
-    parser.add_argument("whose", choices=("own", "shared"))
-    parser.add_argument("sockets", nargs="+")
-    arguments = parser.parse_args()
+    name, text, *descriptors = sys.argv[1:]
     with process_log("live") as log:
         try:
-            if arguments.whose == "shared":
-                name, port, *origins = arguments.sockets
-                asyncio.run(_serve_shared(name, int(port), origins, log))
+            settings = LiveSettings.model_validate_json(text)
+            face = LiveFace(access_of(settings, "live"), log, name if descriptors else _SHARED)
+            if descriptors:
+                # A signal to the whole process group reaches the service too, which then closes its end.
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    signal.signal(number, signal.SIG_IGN)
+                asyncio.run(_own(face, *(socket.socket(fileno=int(each)) for each in descriptors)))
                 return 0
-            # A signal to the whole process group reaches the service too, which then closes its end.
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, signal.SIG_IGN)
-            settings = LiveSettings.model_validate_json(sys.stdin.buffer.read())
-            listener, link = (socket.socket(fileno=int(number)) for number in arguments.sockets[:2])
-            take_policy("batch")
-            asyncio.run(_own(settings, listener, link, arguments.sockets[2], log))
+            with (
+                bound_tcp(settings.host, settings.port or 0, "--foxglove") as listener,
+                socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as feeds,
+            ):
+                feeds.bind("\0" + name)
+                asyncio.run(_serve_shared(face, listener, feeds))
         except LongreachError as error:
             print(f"live: {error.cause}: {error}", file=sys.stderr)
             return _REFUSED

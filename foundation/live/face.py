@@ -9,8 +9,7 @@ import http
 import itertools
 import json
 import socket
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -29,54 +28,37 @@ VIEWERS_MAX = 8
 _FIGURES_WITHIN_S = 3.0
 _HANDSHAKE_S = 5.0
 _REQUEST_BYTES = 1 << 16  # of a viewer's message
-_TEXT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class Feeder:
-    """One service's connection. ``channels``: of its topics, in their order."""
+    """One service's connection. ``channels``: of its topics, in their order; ``ids``: their numbers."""
 
-    def __init__(self, said: wire.FeedHello, writer: asyncio.StreamWriter, numbers: Iterable[int]) -> None:
-        self.service = said.service
-        self.session = said.session
-        self.channels = [
-            channel._replace(id=number) for channel, number in zip(said.channels, numbers, strict=False)
-        ]
-        self.newest: dict[int, tuple[int, bytes]] = {}  # of channels that are sent once
-        self._once = said.once
+    def __init__(self, said: dict[str, Any], writer: asyncio.StreamWriter, numbers: Iterable[int]) -> None:
+        self.session = said["session"]
+        numbered = zip(numbers, said["channels"], strict=False)
+        self.channels: list[dict[str, Any]] = [{"id": number} | channel for number, channel in numbered]
+        self.ids: list[int] = [channel["id"] for channel in self.channels]
         self._writer = writer
-        self._wanted: list[int] = []
-        self._plain_response: list[asyncio.Future[str]] = []
+        self._figures: asyncio.Queue[str] = asyncio.Queue()
 
-    def tell_wanted(self, channels: frozenset[int]) -> None:
-        """Have the service feed these channels of its own, and no others."""
-        wanted = [number for number, channel in enumerate(self.channels) if channel.id in channels]
-        if wanted != self._wanted:
-            self._wanted = wanted
-            self._say({"wanted": wanted})
-
-    def heard(self, topic: int, log_ns: int, data: bytes) -> int:
-        """The channel of a message."""
-        channel = self.channels[topic].id
-        if topic in self._once:
-            self.newest[channel] = log_ns, data
-        return channel
+    def tell_wanted(self, channels: Collection[int], new: Collection[int]) -> None:
+        """Have the service feed these channels, and no others; again what it sends once of ``new``."""
+        wanted, again = ([k for k, each in enumerate(self.ids) if each in of] for of in (channels, new))
+        self._say({"wanted": wanted, "again": again})
 
     async def figures(self) -> str:
         """What Prometheus is told of the service; empty when it does not say in time."""
-        answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._plain_response.append(answer)
+        while not self._figures.empty():  # of a time when they came too late
+            self._figures.get_nowait()
         self._say({"figures": True})
         try:
-            return await asyncio.wait_for(answer, _FIGURES_WITHIN_S)
+            return await asyncio.wait_for(self._figures.get(), _FIGURES_WITHIN_S)
         except TimeoutError:
             return ""
 
-    def told(self, figures: str) -> None:
+    def take_figures(self, figures: str) -> None:
         """It has said them."""
-        for answer in self._plain_response:
-            if not answer.done():
-                answer.set_result(figures)
-        self._plain_response.clear()
+        self._figures.put_nowait(figures)
 
     def _say(self, said: dict[str, Any]) -> None:
         self._writer.write(json.dumps(said).encode() + b"\n")
@@ -150,20 +132,19 @@ class LiveFace:
                     return
                 data = await reader.readexactly(size)
                 if kind == wire.HELLO:
-                    feeder = self._join(wire.read_hello(data), writer)
+                    feeder = self._join(json.loads(data), writer)
                 elif feeder is not None and kind == wire.FIGURES:
-                    feeder.told(data.decode())
+                    feeder.take_figures(data.decode())
                 elif feeder is not None:
-                    channel = feeder.heard(topic, log_ns, data)
                     for viewer in self._viewers:
-                        viewer.show(channel, log_ns, data)
+                        viewer.show(feeder.ids[topic], log_ns, data)
         except (asyncio.IncompleteReadError, OSError):
             return
         finally:
             self._remove_feeder(feeder)
             writer.close()
 
-    def _join(self, said: wire.FeedHello, writer: asyncio.StreamWriter) -> Feeder:
+    def _join(self, said: dict[str, Any], writer: asyncio.StreamWriter) -> Feeder:
         feeder = Feeder(said, writer, self._numbers)
         self._feeders.append(feeder)
         self._tell(wire.advertise(feeder.channels))
@@ -172,12 +153,11 @@ class LiveFace:
     def _remove_feeder(self, feeder: Feeder | None) -> None:
         if feeder in self._feeders:
             self._feeders.remove(feeder)
-            feeder.told("")
-            gone = [channel.id for channel in feeder.channels]
+            feeder.take_figures("")
             for viewer in self._viewers:
-                for channel in gone:
+                for channel in feeder.ids:
                     viewer.subscribed.pop(channel, None)
-            self._tell(wire.unadvertise(gone))
+            self._tell(wire.unadvertise(feeder.ids))
 
     def _tell(self, text: str) -> None:
         for viewer in self._viewers:
@@ -206,7 +186,7 @@ class LiveFace:
             self._tell_wanted()
 
     def _subscribe(self, viewer: Viewer, asked: wire.Subscriptions) -> None:
-        known = {channel.id for feeder in self._feeders for channel in feeder.channels}
+        known = {channel for feeder in self._feeders for channel in feeder.ids}
         for channel, number in list(viewer.subscribed.items()):
             if number in asked.removed:
                 del viewer.subscribed[channel]
@@ -214,49 +194,32 @@ class LiveFace:
         viewer.subscribed |= new
         for channel in set(asked.added.values()) - known:
             viewer.say(wire.warning(f"there is no channel {channel}"))
-        for feeder in self._feeders:
-            for channel in new.keys() & feeder.newest.keys():
-                viewer.show(channel, *feeder.newest[channel])
-        self._tell_wanted()
+        self._tell_wanted(new)
 
-    def _tell_wanted(self) -> None:
-        wanted = frozenset(channel for viewer in self._viewers for channel in viewer.subscribed)
+    def _tell_wanted(self, new: Collection[int] = ()) -> None:
+        wanted = {channel for viewer in self._viewers for channel in viewer.subscribed}
         for feeder in self._feeders:
-            feeder.tell_wanted(wanted)
+            feeder.tell_wanted(wanted, new)
 
     async def _plain_response(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The answer to what is no viewer, or may not look; None lets the handshake go on. HEAD is answered
-        as GET without the body, by those who only look whether anybody is there.
-        """
-        response = await self._response_to(_asked(connection, request))
-        if request.method != "HEAD":
-            return response
-        if response is None:
-            why = "viewers speak WebSocket here"
-            response = _refusal_response(problem(http.HTTPStatus.UPGRADE_REQUIRED, "request.no_viewer", why))
-            response.headers["Upgrade"] = "websocket"
-        return replace(response, body=b"")
-
-    async def _response_to(self, asked: GuardedRequest) -> Response | None:
+        """The answer to what is no viewer, or may not look; None lets the handshake go on."""
+        asked = _guarded_request(connection, request)
         refusal = self._guard.refusal(asked)
-        if refusal is not None:
-            return _refusal_response(refusal)
-        if asked.method not in ("GET", "HEAD"):
+        if refusal is None and asked.method != "GET":
             return None  # which is answered 405
-        if asked.path == "/metrics":
-            told = [await feeder.figures() for feeder in self._feeders]
-            return _response(http.HTTPStatus.OK, "".join(told).encode(), _TEXT)
-        if asked.path != "/":
+        if refusal is None and asked.path == "/metrics":
+            texts = [await feeder.figures() for feeder in self._feeders]
+            return _response(http.HTTPStatus.OK, "".join(texts).encode(), wire.MEDIA_TYPE)
+        if refusal is None and asked.path != "/":
             why = "there are / for viewers and /metrics"
-            return _refusal_response(problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why))
-        if len(self._viewers) >= VIEWERS_MAX:
+            refusal = problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why)
+        if refusal is None and len(self._viewers) >= VIEWERS_MAX:
             why = f"{VIEWERS_MAX} viewers look already"
-            status = http.HTTPStatus.SERVICE_UNAVAILABLE
-            return _refusal_response(problem(status, "refused.too_many_followers", why))
-        return None
+            refusal = problem(http.HTTPStatus.SERVICE_UNAVAILABLE, "refused.too_many_followers", why)
+        return None if refusal is None else _refusal_response(refusal)
 
 
-def _asked(connection: ServerConnection, request: Request) -> GuardedRequest:
+def _guarded_request(connection: ServerConnection, request: Request) -> GuardedRequest:
     """A handshake as our guard of HTTP reads requests."""
     fields = [(name.lower().encode(), value.encode("latin-1")) for name, value in request.headers.raw_items()]
     client, server = connection.remote_address[0], connection.local_address[0]

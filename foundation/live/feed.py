@@ -5,24 +5,26 @@ import json
 import os
 import select
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from foundation.child_process import ended, started
+from foundation.child_process import ended
 from foundation.event_log import EventLog
 from foundation.live import LiveSettings, wire
 from foundation.live.wire import SHARED_VARIABLE, LatestQueue
 from foundation.periods import take_fifo
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import RecordingThread, RecordSink
+from foundation.recording.recorder import OpenSink
 from foundation.rest.guard import Access
 from foundation.rest.tokens import configured_access
 from foundation.secret_source import bound_tcp
 
-Opened = Callable[[Path, Sequence[Topic], Entries], RecordSink]
 _NOBODY: frozenset[int] = frozenset()
 _RETRY_S = 1.0
 _TELL_AFTER = 10  # connections that failed
@@ -36,8 +38,12 @@ class LiveFeed:
     """Feeds the face that ``connect`` reaches. ``offer`` takes a microsecond and waits for nothing.
 
     Of topics that nobody wants nothing is kept, but the newest of those that are sent once. ``dropped``:
-    messages that made room for newer ones.
+    messages that made room for newer ones. It is a recorder's sink too, which keeps no file.
     """
+
+    path = Path()
+    failure = ""
+    written = 0
 
     def __init__(
         self,
@@ -46,8 +52,10 @@ class LiveFeed:
         connect: Callable[[], socket.socket],
         figures: Callable[[], str],
         fifo_priority: int = 0,
+        own: "OwnFace | None" = None,
     ) -> None:
         """``figures`` returns what Prometheus is told; it is called by the feed's thread, when asked.
+        ``own``: the face, where it is of this service alone: it ends with the feed.
 
         ``connect`` raises OSError where there is no face; it is tried again every second.
         """
@@ -56,6 +64,7 @@ class LiveFeed:
         self._connect = connect
         self._figures = figures
         self._fifo_priority = min(fifo_priority, 1)
+        self._own = own
         self._topics: Sequence[Topic] = ()
         self._session = ""
         self._wanted: frozenset[int] = _NOBODY
@@ -67,15 +76,20 @@ class LiveFeed:
         self._thread = threading.Thread(target=self._feed, name="live-feed", daemon=True)
 
     @property
+    def address(self) -> dict[str, str | int] | None:
+        """Host and port of a face of its own; none where it is shared."""
+        return None if self._own is None else dict(zip(("host", "port"), self._own.address, strict=True))
+
+    @property
     def dropped(self) -> int:
         """Messages that made room for newer ones."""
         return self._queue.dropped
 
-    def opened(self, recording: bool, fifo_priority: int = 0) -> Opened:
+    def opened(self, recording: bool, fifo_priority: int = 0) -> OpenSink:
         """What opens a recorder's sink: a recording that is also shown, or, without one, the show alone."""
 
         def made(path: Path, topics: Sequence[Topic], entries: Entries) -> RecordSink:
-            sink: RecordSink = LiveSink(self, len(topics))
+            sink: RecordSink = self
             if recording:
                 sink = RecordingThread(path, topics, entries, fifo_priority, tap=self.offer)
             self._topics, self._session = topics, entries.get("session", {}).get("id", "")
@@ -93,12 +107,12 @@ class LiveFeed:
         """Show a message as it was recorded, if somebody looks."""
         self._keep(topic, (data, log_ns, True), len(data))
 
-    def offer_message(self, topic: int, message: Any, log_ns: int) -> None:
+    def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
         """Show a message that is not recorded, if somebody looks: the thread encodes it."""
         self._keep(topic, (message, log_ns, False), _NOT_ENCODED)
 
     def close(self) -> None:
-        """End the thread and the connection. What waits is not sent any more."""
+        """End the thread, the connection, and a face of its own. What waits is not sent any more."""
         if self._ending.is_set():
             return
         self._ending.set()
@@ -109,6 +123,8 @@ class LiveFeed:
             self._thread.join(_CLOSE_S)
         if not self._thread.is_alive():
             os.close(self._wake)
+        if self._own is not None:
+            self._own.close()
 
     def _keep(self, topic: int, message: _Message, size: int) -> None:
         if self._topics[topic].once:
@@ -155,8 +171,8 @@ class LiveFeed:
 
     def _answer(self, link: socket.socket, said: dict[str, Any]) -> None:
         if "wanted" in said:
-            before, self._wanted = self._wanted, frozenset(said["wanted"])
-            for topic in sorted((self._wanted - before) & self._once.keys()):
+            self._wanted = frozenset(said["wanted"])
+            for topic in sorted(self._once.keys() & said["again"]):
                 self._send(link, topic, self._once[topic])
         else:
             link.sendall(wire.frame(wire.FIGURES, self._figures_text().encode()))
@@ -182,42 +198,15 @@ class LiveFeed:
         link.sendall(wire.frame(wire.MESSAGE, data, topic, log_ns))
 
 
-class LiveSink:
-    """A recorder's sink that keeps no file: what it is told is shown, or forgotten."""
-
-    path = Path()
-    failure = ""
-    dropped = 0
-    written = 0
-
-    def __init__(self, feed: LiveFeed, topics: int) -> None:
-        self._feed = feed
-
-    def wants(self, topic: int) -> bool:
-        """Whether somebody looks at topic number ``topic``."""
-        return self._feed.wants(topic)
-
-    def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
-        """Show ``message`` on topic number ``topic``, if somebody looks."""
-        self._feed.offer_message(topic, message, log_ns)
-
-    def close(self) -> None:
-        """Nothing waits."""
-
-
-def shared_face(name: str) -> Callable[[], socket.socket]:
-    """What connects to the face that listens at the abstract socket ``name``."""
-
-    def connect() -> socket.socket:
-        link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            link.connect("\0" + name)
-        except OSError:
-            link.close()
-            raise
-        return link
-
-    return connect
+def shared_face(name: str) -> socket.socket:
+    """A connection to the face that listens at the abstract socket ``name``. Raises OSError."""
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        link.connect("\0" + name)
+    except OSError:
+        link.close()
+        raise
+    return link
 
 
 def access_of(settings: LiveSettings, setting: str) -> Access:
@@ -248,8 +237,12 @@ class OwnFace:
             raise OSError(f"the live face ended with status {self._process.poll()}")
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         with theirs, self._listener:
-            inherited, given = (self._listener.fileno(), theirs.fileno()), self._settings.model_dump_json()
-            self._process = started("foundation.live own", given.encode(), inherited, self._name)
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "foundation.live", self._name, self._settings.model_dump_json()]
+                + [str(each.fileno()) for each in (self._listener, theirs)],
+                stdin=subprocess.DEVNULL,
+                pass_fds=(self._listener.fileno(), theirs.fileno()),
+            )
         return ours
 
     def close(self) -> None:
@@ -257,25 +250,6 @@ class OwnFace:
         self._listener.close()
         if self._process is not None:
             ended(self._process)
-
-
-class LiveShow:
-    """What a service has of its live face: its ``feed``, and where viewers find it."""
-
-    def __init__(self, feed: LiveFeed, own: OwnFace | None) -> None:
-        self.feed = feed
-        self._own = own
-
-    @property
-    def address(self) -> dict[str, str | int] | None:
-        """Host and port of a face of its own; none where it is shared."""
-        return None if self._own is None else dict(zip(("host", "port"), self._own.address, strict=True))
-
-    def close(self) -> None:
-        """End it."""
-        self.feed.close()
-        if self._own is not None:
-            self._own.close()
 
 
 def open_show(
@@ -286,15 +260,15 @@ def open_show(
     figures: Callable[[], str],
     fifo_priority: int = 0,
     environment: Mapping[str, str] = os.environ,
-) -> LiveShow | None:
-    """The show of a service: at the face that LONGREACH_LIVE names, else at one of its own where
+) -> LiveFeed | None:
+    """The feed of a service: of the face that LONGREACH_LIVE names, else of one of its own where
     ``settings``, found at ``setting``, name a port; else none.
 
     Raises ConfigurationError as ``OwnFace`` does.
     """
     if name := environment.get(SHARED_VARIABLE):
-        return LiveShow(LiveFeed(service, log, shared_face(name), figures, fifo_priority), None)
+        return LiveFeed(service, log, partial(shared_face, name), figures, fifo_priority)
     if settings.port is None:
         return None
     own = OwnFace(service, settings, setting)
-    return LiveShow(LiveFeed(service, log, own.connect, figures, fifo_priority), own)
+    return LiveFeed(service, log, own.connect, figures, fifo_priority, own)

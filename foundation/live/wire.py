@@ -5,9 +5,10 @@ import json
 import struct
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client import generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 
 from foundation.periods import DurationHistogram
@@ -55,10 +56,10 @@ def exposition(
 
     What is absent, or a word, has no sample: a figure that is not known is not zero.
     """
-    registry = CollectorRegistry()
     prefix = f"longreach_{service}"
-    registry.register(_Collected([*_metrics_of(prefix, table, figures), *_spread(prefix, spreads)]))
-    return generate_latest(registry).decode()
+    families = [*_metrics_of(prefix, table, figures), *_spread(prefix, spreads)]
+    collected: Any = SimpleNamespace(collect=lambda: families)
+    return generate_latest(collected).decode()
 
 
 def value_at(figures: Mapping[str, Any], path: str) -> Any:
@@ -67,15 +68,6 @@ def value_at(figures: Mapping[str, Any], path: str) -> Any:
     for part in path.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
-
-
-class _Collected:
-    def __init__(self, families: list[Metric]) -> None:
-        self._families = families
-
-    def collect(self) -> list[Metric]:
-        """What was collected."""
-        return self._families
 
 
 def _metrics_of(prefix: str, table: Sequence[Figure], figures: Mapping[str, Any]) -> Iterator[Metric]:
@@ -108,56 +100,24 @@ MOST = 1 << 26  # bytes of a frame: a raw picture has 2.8 million
 SHARED_VARIABLE = "LONGREACH_LIVE"  # the face that several services share, by its abstract socket
 
 
-class ShownChannel(NamedTuple):
-    """A topic as viewers know it. ``schema``: the text of its schema."""
-
-    id: int
-    topic: str
-    encoding: str
-    schema_name: str
-    schema_encoding: str
-    schema: bytes
-
-
-class FeedHello(NamedTuple):
-    """Who feeds. Of a channel ``id`` is the topic's number, ``once`` holds those that are sent once."""
-
-    service: str
-    session: str
-    channels: tuple[ShownChannel, ...]
-    once: frozenset[int]
-
-
 def frame(kind: int, data: bytes, topic: int = 0, log_ns: int = 0) -> bytes:
     """One frame."""
     return HEAD.pack(kind, topic, log_ns, len(data)) + data
 
 
 def hello(service: str, session: str, topics: Sequence[Topic]) -> bytes:
-    """The first frame of a service."""
-    described = [
+    """The first frame of a service: its channels as viewers know them, but for their numbers."""
+    channels = [
         {
             "topic": topic.name,
             "encoding": topic.format.message_encoding,
-            "schema_name": topic.format.schema,
-            "schema_encoding": topic.format.schema_encoding,
+            "schemaName": topic.format.schema,
+            "schemaEncoding": topic.format.schema_encoding,
             "schema": base64.b64encode(topic.format.data).decode("ascii"),
         }
         for topic in topics
     ]
-    once = [number for number, topic in enumerate(topics) if topic.once]
-    said = {"service": service, "session": session, "topics": described, "once": once}
-    return frame(HELLO, json.dumps(said).encode())
-
-
-def read_hello(data: bytes) -> FeedHello:
-    """What ``hello`` said."""
-    said: dict[str, Any] = json.loads(data)
-    channels = []
-    for number, each in enumerate(said["topics"]):
-        schema = base64.b64decode(each.pop("schema"))
-        channels.append(ShownChannel(id=number, schema=schema, **each))
-    return FeedHello(said["service"], said["session"], tuple(channels), frozenset(said["once"]))
+    return frame(HELLO, json.dumps({"service": service, "session": session, "channels": channels}).encode())
 
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
@@ -179,20 +139,9 @@ def server_info(name: str, session: str) -> str:
     return json.dumps(said)
 
 
-def advertise(channels: Iterable[ShownChannel]) -> str:
+def advertise(channels: Iterable[Mapping[str, Any]]) -> str:
     """There are these channels."""
-    said = [
-        {
-            "id": channel.id,
-            "topic": channel.topic,
-            "encoding": channel.encoding,
-            "schemaName": channel.schema_name,
-            "schemaEncoding": channel.schema_encoding,
-            "schema": base64.b64encode(channel.schema).decode("ascii"),
-        }
-        for channel in channels
-    ]
-    return json.dumps({"op": "advertise", "channels": said})
+    return json.dumps({"op": "advertise", "channels": list(channels)})
 
 
 def unadvertise(channels: Iterable[int]) -> str:
@@ -247,30 +196,23 @@ class LatestQueue(Generic[T]):
 
     def __init__(self) -> None:
         self.dropped = 0
-        self._waiting: dict[int, deque[tuple[T, int]]] = {}
-        self._turns: deque[int] = deque()
+        self._waiting: dict[int, deque[T]] = {}
+        self._turn = 0
 
     def put(self, topic: int, item: T, size: int) -> None:
-        """Keep ``item``, of ``size`` bytes, as the newest of ``topic``."""
-        waiting = self._waiting.setdefault(topic, deque())
-        waiting.append((item, size))
-        bound = max(1, min(MOST_MESSAGES, MOST_BYTES // max(size, 1)))
-        if len(waiting) <= bound:
-            self._turns.append(topic)
-            return
-        while len(waiting) > bound:
-            try:
-                waiting.popleft()
-            except IndexError:  # the taker was quicker
-                break
-            self.dropped += 1
+        """Keep ``item`` as the newest of ``topic``, whose items are all of about ``size`` bytes."""
+        if topic not in self._waiting:
+            self._waiting[topic] = deque(maxlen=max(1, min(MOST_MESSAGES, MOST_BYTES // max(size, 1))))
+        waiting = self._waiting[topic]
+        self.dropped += len(waiting) == waiting.maxlen
+        waiting.append(item)
 
     def take(self) -> tuple[int, T] | None:
         """Topic and item of the one whose turn it is; None when nothing waits."""
-        while self._turns:
-            topic = self._turns.popleft()
-            try:
-                return topic, self._waiting[topic].popleft()[0]
-            except IndexError:  # dropped meanwhile
-                continue
+        topics = list(self._waiting)
+        for turn in range(self._turn, self._turn + len(topics)):
+            topic = topics[turn % len(topics)]
+            if self._waiting[topic]:
+                self._turn = turn + 1
+                return topic, self._waiting[topic].popleft()
         return None

@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, Footer, Header, Message, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from foundation.recording.mcap_file import Format
@@ -101,7 +101,6 @@ _READERS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
     Opcode.METADATA: Metadata.read,
-    Opcode.ATTACHMENT: Attachment.read,
     Opcode.STATISTICS: Statistics.read,
     Opcode.FOOTER: Footer.read,
 }

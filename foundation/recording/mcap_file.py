@@ -17,8 +17,6 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment,
-    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
@@ -56,14 +54,13 @@ class Format(NamedTuple):
 
 
 class Topic(NamedTuple):
-    """One topic of a recording. ``encode`` returns the bytes of what is recorded on it; ``metadata`` is for
-    files of others. ``once``: it is recorded once, and who looks later wants it too.
+    """One topic of a recording. ``encode`` returns the bytes of what is recorded on it. ``once``: it is
+    recorded once, and who looks later wants it too.
     """
 
     name: str
     format: Format
     encode: Callable[[Any], bytes]
-    metadata: tuple[tuple[str, str], ...] = ()
     once: bool = False
 
 
@@ -77,13 +74,7 @@ class McapFile:
     added.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        topics: Sequence[Topic],
-        metadata: Entries,
-        attachments: Sequence[Attachment] = (),
-    ) -> None:
+    def __init__(self, path: Path, topics: Sequence[Topic], metadata: Entries) -> None:
         """Create ``path``. Raises FileExistsError where it exists, OSError when it cannot be written."""
         self.path = path
         self._topics = tuple(topics)
@@ -92,7 +83,6 @@ class McapFile:
         self._size = 0
         self._index = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115  closed with the recording
         self._metadata_index: list[MetadataIndex] = []
-        self._attachment_index: list[AttachmentIndex] = []
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._chunk = bytearray()
         self._places: dict[int, list[tuple[int, int]]] = {}
@@ -105,10 +95,6 @@ class McapFile:
         for name, entries in metadata.items():
             record = _bytes(Metadata(name, dict(entries)))
             self._metadata_index.append(MetadataIndex(self._size, len(record), name))
-            self._write(record)
-        for attached in attachments:
-            record = _bytes(attached)
-            self._attachment_index.append(_index_of(attached, self._size, len(record)))
             self._write(record)
 
     @property
@@ -199,7 +185,7 @@ class McapFile:
 
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=len(self._attachment_index),
+            attachment_count=0,
             channel_count=len(self._topics),
             channel_message_counts={number: n for number, n in enumerate(self._counts, 1) if n},
             chunk_count=self._chunks,
@@ -219,7 +205,6 @@ class McapFile:
             (Opcode.CHANNEL, self._channels),
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.METADATA_INDEX, self._metadata_index),
-            (Opcode.ATTACHMENT_INDEX, self._attachment_index),
         ]
         for opcode, records in groups:
             if not records:
@@ -260,25 +245,14 @@ def _schemas_and_channels(topics: Sequence[Topic]) -> tuple[list[Schema], list[C
     """A record for every topic, and for every schema that they name."""
     schemas: dict[tuple[str, str, bytes], Schema] = {}
     channels = []
-    for number, (name, said, _, metadata, _) in enumerate(topics, 1):
+    for number, topic in enumerate(topics, 1):
+        said = topic.format
         key = (said.schema, said.schema_encoding, said.data)
         if any(key) and key not in schemas:
             schemas[key] = Schema(len(schemas) + 1, said.data, said.schema_encoding, said.schema)
         schema_id = schemas[key].id if any(key) else 0
-        channels.append(Channel(number, name, said.message_encoding, dict(metadata), schema_id))
+        channels.append(Channel(number, topic.name, said.message_encoding, {}, schema_id))
     return list(schemas.values()), channels
-
-
-def _index_of(attached: Attachment, offset: int, length: int) -> AttachmentIndex:
-    return AttachmentIndex(
-        offset=offset,
-        length=length,
-        log_time=attached.log_time,
-        create_time=attached.create_time,
-        data_size=len(attached.data),
-        name=attached.name,
-        media_type=attached.media_type,
-    )
 
 
 def _bytes(*records: McapRecord) -> bytes:

@@ -16,6 +16,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from foundation import clock
 from foundation.periods import take_fifo
 from foundation.recording.mcap_file import CHUNK_NS, Entries, Format, McapFile, Topic
 
@@ -32,7 +33,11 @@ class RecordSink(Protocol):
 
     path: Path
     failure: str
-    dropped: int
+
+    @property
+    def dropped(self) -> int:
+        """How many messages made room for newer ones."""
+        ...
 
     @property
     def written(self) -> int:
@@ -79,90 +84,6 @@ class DirectRecording:
     def close(self) -> None:
         """Write the summary and close the file."""
         self._file.close()
-
-
-class RecordingThread:
-    """Records in a thread of its own; ``put`` takes some microseconds and waits for nothing.
-
-    What is put must not change afterwards. ``dropped``: messages that found ``WAITING_MAX`` others waiting;
-    those put with ``wanted`` are never dropped. ``failure``: why nothing more can be written, such as a full
-    disk; empty while all is well. What was put reaches the operating system within half a second.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        topics: Sequence[Topic],
-        metadata: Entries,
-        fifo_priority: int = 0,
-        tap: Callable[[int, bytes, int], None] | None = None,
-    ) -> None:
-        """Create ``path``. ``fifo_priority``: of the loop, 0 where it asks for none. ``tap`` is called with
-        topic, encoded message and its time once it is taken into the file, in the recording's thread.
-
-        The thread takes the lowest where the loop has one: while it has the interpreter, which the loop waits
-        for, no ordinary process may put it aside. Raises FileExistsError where it exists, OSError when it
-        cannot be written.
-        """
-        self.path = path
-        self.dropped = 0
-        self.failure = ""
-        self._file = McapFile(path, topics, metadata)
-        self._tap = tap
-        self._fifo_priority = min(fifo_priority, _BELOW_ALL)
-        self._items: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._write_items, name=f"record-{path.name}", daemon=True)
-        sys.setswitchinterval(_SWITCH_S)
-        self._thread.start()
-
-    @property
-    def written(self) -> int:
-        """How many messages were taken into the file."""
-        return self._file.messages
-
-    def wants(self, topic: int) -> bool:
-        """Always."""
-        return True
-
-    def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
-        """Record ``message`` on topic number ``topic``."""
-        if self.failure:
-            return
-        if not wanted and self._items.qsize() >= WAITING_MAX:
-            self.dropped += 1
-            return
-        self._items.put((topic, message, log_ns, publish_ns))
-
-    def close(self) -> None:
-        """Write what waits and the summary, and close the file. What can no longer be written is left out."""
-        self._items.put(None)
-        self._thread.join(_CLOSE_S)
-
-    def _write_items(self) -> None:
-        take_fifo(self._fifo_priority)
-        try:
-            self._keep_writing()
-            self._file.close()
-        except Exception as error:  # also what cannot be encoded ends the recording, never the service
-            self.failure = getattr(error, "strerror", None) or repr(error)
-            self._file.abandon()
-
-    def _keep_writing(self) -> None:
-        """Write until asked to end: a chunk is closed by the time of its messages, or when no more come."""
-        period_s = 1e-9 * CHUNK_NS
-        due_s = time.monotonic() + period_s
-        while True:
-            try:
-                item = self._items.get(timeout=max(due_s - time.monotonic(), 0.0))
-            except queue.Empty:
-                self._file.flush()
-                due_s = time.monotonic() + period_s
-                continue
-            if item is None:
-                return
-            data = self._file.add(*item)
-            if self._tap is not None:
-                self._tap(item[0], data, item[2])
 
 
 Array = NDArray[np.float64]
@@ -294,3 +215,99 @@ def log_line(time_ns: int, level: str, name: str, message: str) -> bytes:
     said = Log(level=LEVELS[level], message=message, name=name)
     put_time(said.timestamp, time_ns)
     return bytes(said.SerializeToString())
+
+
+WallMessage = message_class("Wall", (MessageField("unix_ns", "int64"),))
+_WALL = Topic(
+    "/wall", format_of(WallMessage), lambda unix_ns: WallMessage(unix_ns=unix_ns).SerializeToString()
+)
+_WALL_NS, _NEVER_NS = 1_000_000_000, 1 << 63
+
+
+class RecordingThread:
+    """Records in a thread of its own; ``put`` takes some microseconds and waits for nothing.
+
+    What is put must not change afterwards. ``dropped``: messages that found ``WAITING_MAX`` others waiting;
+    those put with ``wanted`` are never dropped. ``failure``: why nothing more can be written, such as a full
+    disk; empty while all is well. What was put reaches the operating system within half a second. By the
+    plant's clock the wall's time stands beside that of the messages once a second, on ``/wall``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Sequence[Topic],
+        metadata: Entries,
+        fifo_priority: int = 0,
+        tap: Callable[[int, bytes, int], None] | None = None,
+    ) -> None:
+        """Create ``path``. ``fifo_priority``: of the loop, 0 where it asks for none. ``tap`` is called with
+        topic, encoded message and its time once it is taken into the file, in the recording's thread.
+
+        The thread takes the lowest where the loop has one: while it has the interpreter, which the loop waits
+        for, no ordinary process may put it aside. Raises FileExistsError where it exists, OSError when it
+        cannot be written.
+        """
+        self.path = path
+        self.dropped = 0
+        self.failure = ""
+        self._file = McapFile(path, topics if clock.is_wall() else (*topics, _WALL), metadata)
+        self._wall, self._wall_due_ns = len(topics), _NEVER_NS if clock.is_wall() else 0
+        self._tap = tap
+        self._fifo_priority = min(fifo_priority, _BELOW_ALL)
+        self._items: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._write_items, name=f"record-{path.name}", daemon=True)
+        sys.setswitchinterval(_SWITCH_S)
+        self._thread.start()
+
+    @property
+    def written(self) -> int:
+        """How many messages were taken into the file."""
+        return self._file.messages
+
+    def wants(self, topic: int) -> bool:
+        """Always."""
+        return True
+
+    def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
+        """Record ``message`` on topic number ``topic``."""
+        if self.failure:
+            return
+        if not wanted and self._items.qsize() >= WAITING_MAX:
+            self.dropped += 1
+            return
+        self._items.put((topic, message, log_ns, publish_ns))
+
+    def close(self) -> None:
+        """Write what waits and the summary, and close the file. What can no longer be written is left out."""
+        self._items.put(None)
+        self._thread.join(_CLOSE_S)
+
+    def _write_items(self) -> None:
+        take_fifo(self._fifo_priority)
+        try:
+            self._keep_writing()
+            self._file.close()
+        except Exception as error:  # also what cannot be encoded ends the recording, never the service
+            self.failure = getattr(error, "strerror", None) or repr(error)
+            self._file.abandon()
+
+    def _keep_writing(self) -> None:
+        """Write until asked to end: a chunk is closed by the time of its messages, or when no more come."""
+        period_s = 1e-9 * CHUNK_NS
+        due_s = time.monotonic() + period_s
+        while True:
+            try:
+                item = self._items.get(timeout=max(due_s - time.monotonic(), 0.0))
+            except queue.Empty:
+                self._file.flush()
+                due_s = time.monotonic() + period_s
+                continue
+            if item is None:
+                return
+            data = self._file.add(*item)
+            if item[2] >= self._wall_due_ns:
+                self._wall_due_ns = item[2] + _WALL_NS
+                self._file.add(self._wall, time.time_ns(), item[2], item[2])
+            if self._tap is not None:
+                self._tap(item[0], data, item[2])

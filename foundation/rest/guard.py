@@ -66,46 +66,6 @@ class GuardedRequest(NamedTuple):
         return problem(status, cause, why, instance=self.path)
 
 
-class TokenCheck:
-    """Decides by the Authorization header.
-
-    ``open_to_look``: paths that whoever may look may POST to. ``public``: paths that anybody may read.
-    """
-
-    def __init__(
-        self, tokens: Mapping[Role, bytes], open_to_look: Iterable[str] = (), public: Iterable[str] = ()
-    ) -> None:
-        self._tokens = dict(tokens)
-        self._public = frozenset(public)
-        self._open_to_look = frozenset(open_to_look)
-
-    def refusal(self, asked: GuardedRequest) -> Refusal | None:
-        """Why the request is refused, before its body is read; None when it may go on."""
-        if asked.method in _READING and asked.path in self._public:
-            return None
-        if not asked.values(b"authorization"):
-            why = "this service wants a token: Authorization: Bearer TOKEN"
-            return asked.refused(HTTPStatus.UNAUTHORIZED, "refused.no_token", why)
-        role = self.role_of(asked)
-        if role is None:
-            why = "the token is none of this service's"
-            return asked.refused(HTTPStatus.UNAUTHORIZED, "refused.wrong_token", why)
-        if role is Role.LOOK and asked.method not in _READING and asked.path not in self._open_to_look:
-            why = f"{asked.method} wants the token of {Role.OPERATE}; this one is of {Role.LOOK}"
-            return asked.refused(HTTPStatus.FORBIDDEN, "refused.role", why)
-        return None
-
-    def role_of(self, asked: GuardedRequest) -> Role | None:
-        """Of whoever asks; None without a token, or with two."""
-        given = asked.values(b"authorization")
-        if len(given) != 1:
-            return None
-        presented = _presented_token(given[0])
-        # Every token is compared, each in constant time: how long it takes tells nothing of them.
-        matching = [role for role, token in self._tokens.items() if hmac.compare_digest(token, presented)]
-        return matching[0] if matching else None
-
-
 def _presented_token(authorization: str) -> bytes:
     """The token of a Bearer header, or the password of a Basic one, as browsers send; empty: none."""
     scheme, _, credentials = authorization.partition(" ")
@@ -132,44 +92,66 @@ class Guard:
     """
 
     def __init__(self, access: Access, refusals: RefusalLog) -> None:
+        self._access, self._refusals = access, refusals
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
-        self._origins = access.allowed_origins
-        self._senders = access.senders
-        self._tokens = TokenCheck(access.tokens, access.stops, access.public) if access.tokens else None
-        self._refusals = refusals
-        self._advise = access.advise
 
     def refusal(self, asked: GuardedRequest) -> Refusal | None:
         """Why a request is refused, with what to do about it; None when it may go on."""
-        refusal = self._refusal_for(asked)
-        return None if refusal is None else self.told(refusal, asked.client)
+        refusal = self._refusal_of_sender(asked) or (
+            self._refusal_by_token(asked) if self._access.tokens else None
+        )
+        return None if refusal is None else self.counted(refusal, asked.client)
 
-    def told(self, refusal: Refusal, client: str) -> Refusal:
+    def counted(self, refusal: Refusal, client: str) -> Refusal:
         """A refusal that is counted, and says what to do about it."""
         self._refusals.tell(refusal, client)
-        return advised(refusal, self._advise)
+        return advised(refusal, self._access.advise)
 
     def role_of(self, asked: GuardedRequest) -> Role | None:
-        """Of whoever asks; None where no token is wanted, or none was sent."""
-        return None if self._tokens is None else self._tokens.role_of(asked)
+        """Of whoever asks; None where no token is wanted, and without one of ours, or with two."""
+        given = asked.values(b"authorization")
+        if len(given) != 1:
+            return None
+        presented = _presented_token(given[0])
+        # Every token is compared, each in constant time: how long it takes tells nothing of them.
+        tokens = self._access.tokens.items()
+        matching = [role for role, token in tokens if hmac.compare_digest(token, presented)]
+        return matching[0] if matching else None
 
-    def _refusal_for(self, asked: GuardedRequest) -> Refusal | None:
-        if self._senders is not None and asked.client not in self._senders:
+    def _refusal_by_token(self, asked: GuardedRequest) -> Refusal | None:
+        """Why the Authorization header does not do, before the body is read."""
+        if asked.method in _READING and asked.path in self._access.public:
+            return None
+        if not asked.values(b"authorization"):
+            why = "this service wants a token: Authorization: Bearer TOKEN"
+            return asked.refused(HTTPStatus.UNAUTHORIZED, "refused.no_token", why)
+        role = self.role_of(asked)
+        if role is None:
+            why = "the token is none of this service's"
+            return asked.refused(HTTPStatus.UNAUTHORIZED, "refused.wrong_token", why)
+        if role is Role.LOOK and asked.method not in _READING and asked.path not in self._access.stops:
+            why = f"{asked.method} wants the token of {Role.OPERATE}; this one is of {Role.LOOK}"
+            return asked.refused(HTTPStatus.FORBIDDEN, "refused.role", why)
+        return None
+
+    def _refusal_of_sender(self, asked: GuardedRequest) -> Refusal | None:
+        senders, others = self._access.senders, self._access.allowed_origins
+        if senders is not None and asked.client not in senders:
             detail = f"without tokens only this machine may ask, not {asked.client}: unset LONGREACH_NO_TOKEN"
             return asked.refused(HTTPStatus.FORBIDDEN, "refused.other_machine", detail)
         hosts = asked.values(b"host")
         if len(hosts) != 1 or not self._is_ours(hosts[0], asked.server):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"
             return asked.refused(HTTPStatus.MISDIRECTED_REQUEST, "refused.foreign_host", detail)
-        own = f"{asked.scheme}://{hosts[0]}".lower()
         origins = [origin.lower() for origin in asked.values(b"origin")]
-        for origin in origins:
-            if origin != own and origin not in self._origins:
-                return _foreign_origin(asked, f"a page of {origin[:80]}")
-        for site in asked.values(b"sec-fetch-site"):
-            if site.lower() not in _OWN_SITE and self._origins.isdisjoint(origins):
-                return _foreign_origin(asked, f"a page of another origin ({site[:20]})")
-        return None if self._tokens is None else self._tokens.refusal(asked)
+        own = f"{asked.scheme}://{hosts[0]}".lower()
+        foreign = [f"a page of {origin[:80]}" for origin in origins if origin not in (own, *others)]
+        sites = asked.values(b"sec-fetch-site") if others.isdisjoint(origins) else ()
+        foreign += [f"a page of another origin ({s[:20]})" for s in sites if s.lower() not in _OWN_SITE]
+        if foreign:
+            why = f"{foreign[0]} may not ask this service"
+            return asked.refused(HTTPStatus.FORBIDDEN, "refused.foreign_origin", why)
+        return None
 
     def _is_ours(self, host: str, reached: str) -> bool:
         match = _HOST.fullmatch(host)
@@ -183,7 +165,3 @@ class Guard:
         except ValueError:
             return False
         return address.is_loopback or str(address) == reached
-
-
-def _foreign_origin(asked: GuardedRequest, who: str) -> Refusal:
-    return asked.refused(HTTPStatus.FORBIDDEN, "refused.foreign_origin", f"{who} may not ask this service")

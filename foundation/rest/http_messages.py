@@ -66,13 +66,13 @@ class Head(NamedTuple):
         """Whether the client waits to be told to send the body (RFC 9110, section 10.1.1)."""
         return any(value.lower() == b"100-continue" for value in self.values(b"expect"))
 
-    def forwarded(self, body: bytes, **told: str) -> bytes:
+    def forwarded(self, body: bytes, **fields_of_ours: str) -> bytes:
         """The same request for the service behind: of HTTP/1.0, so that its answer ends with the connection.
 
-        ``told``: fields that speak for us; what the client sent under their names is left out. HEAD becomes
-        the GET whose head it asks for.
+        ``fields_of_ours`` speak for us; what the client sent under their names is left out. HEAD becomes the
+        GET whose head it asks for.
         """
-        ours = {name.replace("_", "-").encode(): value.encode() for name, value in told.items()}
+        ours = {name.replace("_", "-").encode(): value.encode() for name, value in fields_of_ours.items()}
         fields = [field for field in self.fields if field[0] not in _HOP_BY_HOP and field[0] not in ours]
         lines = [f"{'GET' if self.method == 'HEAD' else self.method} {self.target} HTTP/1.0".encode()]
         lines += [name + b": " + value for name, value in (*fields, *ours.items())]

@@ -3,8 +3,9 @@
 from collections import Counter
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
-from typing import Any, Protocol
+from typing import Any
 
+from foundation.event_log import EventLog
 from protocol.errors import (
     ConfigurationError,
     DatagramRefused,
@@ -75,17 +76,10 @@ def advised(document: Refusal, advise: Advise | None) -> Refusal:
     return document if advise is None else document | {"advice": advise(str(document["cause"]))}
 
 
-class RefusalLines(Protocol):
-    """A log of what may come again and again."""
-
-    def write_repeated(self, kind: Any, event: str, level: Any = "info", /, **fields: Any) -> None:
-        """One more of ``kind``."""
-
-
 class RefusalLog:
     """Counts refusals, as ``counts`` by cause, and writes them to ``log``, where there is one, by source."""
 
-    def __init__(self, log: RefusalLines | None) -> None:
+    def __init__(self, log: EventLog | None) -> None:
         self.counts: Counter[str] = Counter()
         self._log = log
         self._sources: set[str] = set()

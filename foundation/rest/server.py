@@ -16,13 +16,14 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from foundation.configuration import fault_words
+from foundation.event_log import EventLog
 from foundation.rest.door import Door
 from foundation.rest.guard import Access, Guard
 from foundation.rest.problems import (
     MEDIA_TYPE,
     Advise,
     Refusal,
-    RefusalLines,
     RefusalLog,
     advised,
     problem,
@@ -79,9 +80,7 @@ def service_socket() -> Iterator[tuple[str, socket.socket]]:
 
 
 @contextlib.asynccontextmanager
-async def door(
-    listener: socket.socket, at: str, access: Access, log: RefusalLines | None
-) -> AsyncIterator[Door]:
+async def door(listener: socket.socket, at: str, access: Access, log: EventLog | None) -> AsyncIterator[Door]:
     """A door at ``listener`` in this very loop, for as long as the block lasts, to the service at ``at``."""
     made = Door(at, Guard(access, RefusalLog(log)), access.stops)
     serving = await made.serve(listener)
@@ -94,10 +93,8 @@ async def door(
 
 def invalid_request(error: RequestValidationError) -> dict[str, Any]:
     """The problem of a request that does not fit its schema, with the first faults as ``faults``."""
-    first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
     faults = [{"at": list(each["loc"]), "why": each["msg"]} for each in error.errors()[:_FAULTS_SHOWN]]
-    detail = f"{where}: {first['msg']}"
+    detail = fault_words(error.errors()[0])
     return problem(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, faults=faults)
 
 

@@ -7,16 +7,19 @@ all the runs are made in this process, one after the other.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from typer import Option
 
 from foundation.compiled import OUR_PACKAGES
 from foundation.configuration import layers
-from laboratory.campaigns.rows import Row, RowFile
+from laboratory.campaigns.rows import Row, read_rows, write_rows
 from laboratory.campaigns.workforce import AGAIN, Run, Task, results
 from protocol.errors import ConfigurationError, LinkLost
+from testbed.cli.options import ConfigDir, JsonFile
 from testbed.reporting.console import kept_on_ctrl_c, out, plain
 from testbed.reporting.run_record import library_versions
 
@@ -32,10 +35,9 @@ def sources_hash() -> str:
 
 
 def content_hash(path: Path) -> str:
-    """The hash of a file, or of all files below a directory and its base, with their names."""
-    folders = [] if path.is_file() else layers(path)
-    files = [(str(f.relative_to(folder)), f) for folder in folders for f in folder.rglob("*") if f.is_file()]
-    return _hash(files or [("", path)])
+    """The hash of all files below a directory and its base, with their names."""
+    folders = [(folder, file) for folder in layers(path) for file in folder.rglob("*") if file.is_file()]
+    return _hash((str(file.relative_to(folder)), file) for folder, file in folders)
 
 
 def _hash(files: Iterable[tuple[str, Path]]) -> str:
@@ -50,17 +52,26 @@ class CampaignRequest(NamedTuple):
     """What a campaign is asked for: ``runs`` from ``seed`` on, rows and pictures in ``out``.
 
     ``scheduler``: a Dask cluster that is there; else ``workers`` processes are started, or none. ``fresh``:
-    no row is reused. ``json``: a file to write figures to.
+    no row is reused. ``json_file``: to write results to.
     """
 
-    config_dir: Path
-    out: Path
-    runs: int = 1
-    seed: int = 1
-    scheduler: str | None = None
-    workers: int = 2
-    fresh: bool = False
-    json: Path | None = None
+    config_dir: ConfigDir
+    out: Annotated[
+        Path, Option("--out", help="Rows and pictures; rows that are there are not measured again.")
+    ]
+    runs: Annotated[int, Option("--count", min=1, help="How many seeds, from --seed on.")] = 1
+    seed: Annotated[int, Option(min=0, help="The same seed is the same world; the first of several.")] = 1
+    scheduler: Annotated[
+        str | None,
+        Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
+    ] = None
+    workers: Annotated[
+        int, Option(min=0, max=64, help="How many workers to start; 0: run in this process.")
+    ] = 2
+    fresh: Annotated[bool, Option("--fresh", help="Measure all rows anew, also those that are there.")] = (
+        False
+    )
+    json_file: JsonFile = None
 
 
 class Campaign(NamedTuple):
@@ -70,43 +81,46 @@ class Campaign(NamedTuple):
     reused: int
 
 
-def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task], title: str) -> Campaign:
+def run_campaign(request: CampaignRequest, run: Run, tasks: Sequence[Task], title: str) -> Campaign:
     """The rows of ``tasks``; those that ``request.out/rows.csv`` lacks are measured now.
 
-    ``function`` (importable by name, or a partial of such) turns a flat task with a unique ``key`` into a
-    flat or typed row. Each row gets ``key``, ``configuration``, ``failure`` (None, or the cause and what
+    ``run`` (importable by name) turns a configuration directory and a flat task with a unique ``key`` into a
+    flat row. Each row gets what is in its task, ``configuration``, ``failure`` (None, or the cause and what
     happened), ``run_s`` and ``cpu_s``. A row is reused when key and configuration are the same, unless it
     failed by no fault of its own (its worker died, or the program broke).
 
-    A value that is bytes becomes a file; its cell is the name, below ``request.out``.
-
-    Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
-    not answer, has no workers, or goes away; the rows done until then are kept.
+    Raises ConfigurationError for a key given twice, a malformed address and a directory that cannot be made
+    (``output.unwritable``), LinkLost when the scheduler does not answer, has no workers, or goes away; the
+    rows done until then are in the file.
     """
-    directory = request.out
-    evidence = evidence_of(function)
-    configurations = {str(task["key"]): configuration_of(evidence, task) for task in tasks}
-    if len(configurations) != len(tasks):
+    evidence = evidence_of(run, request.config_dir)
+    names = [(task["key"], configuration_of(evidence, task)) for task in tasks]
+    if len(dict(names)) != len(tasks):
         raise ConfigurationError("configuration.duplicate_task", f"{title}: two tasks have the same key")
-    file = RowFile(directory / "rows.csv")
-    kept = [] if request.fresh else [row for row in file.rows if _conclusive(row)]
-    done = {(str(row["key"]), str(row["configuration"])): row for row in kept}
-    to_do = [task for task in tasks if (str(task["key"]), configurations[str(task["key"])]) not in done]
-    asked = ({"configuration": configurations[str(task["key"])], "task": task} for task in tasks)
-    _note(directory, [each | {"title": title} | evidence for each in asked])
-    told = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
-    out.print(told, style="dim", highlight=False, soft_wrap=True)
+    try:
+        request.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError("output.unwritable", f"{request.out}: {error.strerror}") from error
+    path = request.out / "rows.csv"
+    rows = read_rows(path)
+    there = set() if request.fresh else {_name(row) for row in rows if _is_conclusive(row)}
+    to_do = {name: task for name, task in zip(names, tasks, strict=True) if name not in there}
+    counts = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
+    out.print(counts, style="dim", highlight=False, soft_wrap=True)
     if to_do:
-        checked = partial(_on_same_evidence, function, evidence)
+        checked = partial(_on_same_evidence, run, request.config_dir, evidence)
         workers = min(request.workers, len(to_do))
-        with kept_on_ctrl_c(lambda: f"{len(file.rows)} rows are kept in {file.path}"):
-            for task, row in results(checked, to_do, request.scheduler, workers, title):
-                key = str(task["key"])
-                named = {"key": key, "configuration": configurations[key]}
-                whole = named | _files_written(directory, "-".join(named.values()), row)
-                done[key, configurations[key]] = file.append(whole)
-    rows = [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
-    return Campaign(rows, len(tasks) - len(to_do))
+        configurations = dict(to_do.keys())
+        with kept_on_ctrl_c(lambda: f"{len(rows)} rows are kept in {path}"):
+            for task, row in results(checked, list(to_do.values()), request.scheduler, workers, title):
+                rows.append(task | {"configuration": configurations[task["key"]]} | row)
+                write_rows(path, rows)
+    newest = {_name(row): row for row in read_rows(path)}
+    return Campaign([newest[name] for name in names], len(tasks) - len(to_do))
+
+
+def _name(row: Row) -> tuple[str, str]:
+    return row["key"], row["configuration"]
 
 
 def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> str:
@@ -115,54 +129,23 @@ def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> st
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def evidence_of(function: Run) -> dict[str, Any]:
-    """What a run depends on beside its task: sources, versions, the function and what is bound to it.
-
-    A bound path counts by its content.
-    """
-    bound: list[Any] = []
-    whole: Callable[..., Any] = function
-    while isinstance(whole, partial):
-        bound += [*whole.args, *sorted(whole.keywords.items())]
-        whole = whole.func
+def evidence_of(run: Run, config_dir: Path) -> dict[str, Any]:
+    """What a run depends on beside its task: the function, sources, versions, configuration files."""
     return {
-        "function": f"{whole.__module__}.{whole.__qualname__}",
+        "function": f"{run.__module__}.{run.__qualname__}",
         "sources": sources_hash(),
         "versions": library_versions(),
-        "bound": [content_hash(value) if isinstance(value, Path) else plain(value) for value in bound],
+        "files": content_hash(config_dir),
     }
 
 
-def _on_same_evidence(function: Run, wanted: Mapping[str, Any], task: Task) -> Any:
+def _on_same_evidence(run: Run, config_dir: Path, wanted: Mapping[str, Any], task: Task) -> Row:
     """The run, on a worker whose sources, files and libraries are those of the campaign's client."""
-    here = evidence_of(function)
+    here = evidence_of(run, config_dir)
     if other := [name for name in wanted if wanted[name] != here[name]]:
         raise LinkLost(f"{AGAIN}other_worker", f"the worker's {', '.join(other)} are not those of the client")
-    return function(task)
+    return run(config_dir, task)
 
 
-def _conclusive(row: Row) -> bool:
+def _is_conclusive(row: Row) -> bool:
     return not str(row.get("failure") or "").startswith(AGAIN)
-
-
-def _files_written(directory: Path, stem: str, row: Row) -> Row:
-    """``row`` with the name of a file below ``directory`` in place of every value that is bytes."""
-    kept = dict(row)
-    for column, value in row.items():
-        if isinstance(value, bytes):
-            kept[column] = f"files/{stem}.{column}"
-            (directory / "files").mkdir(exist_ok=True)
-            (directory / kept[column]).write_bytes(value)
-    return kept
-
-
-def _note(directory: Path, entries: Sequence[Mapping[str, Any]]) -> None:
-    """Write what the configurations' hashes stand for to ``tasks.jsonl``."""
-    path = directory / "tasks.jsonl"
-    lines = [json.dumps(plain(entry), sort_keys=True, default=repr) for entry in entries]
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        path.write_text("".join(f"{line}\n" for line in dict.fromkeys(known + lines)), encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error

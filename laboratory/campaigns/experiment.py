@@ -1,10 +1,9 @@
 """An experiment as data: what it measures, from which tasks, what is asked of its rows; and how it is run."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
@@ -12,10 +11,10 @@ import numpy as np
 from rich.table import Table
 from typer import Option
 
-from foundation.configuration import BASE_FILE
 from laboratory.campaigns.campaign import CampaignRequest, run_campaign
-from laboratory.campaigns.rows import typed
-from laboratory.campaigns.workforce import Task
+from laboratory.campaigns.rows import Row
+from laboratory.campaigns.workforce import Run, Task
+from protocol.errors import MeasurementFailed
 from testbed.reporting.console import out, table, write_json
 
 if TYPE_CHECKING:
@@ -23,11 +22,9 @@ if TYPE_CHECKING:
 
 
 S = TypeVar("S")  # settings beyond the request's
-R = TypeVar("R")  # a row
 
-_STYLES = {True: "green", False: "bold red", None: "dim"}
 _DPI = 110  # of a picture
-_VERDICTS = {True: "met", False: "NOT met", None: ""}
+_VERDICTS = {True: "[green]met[/]", False: "[bold red]NOT met[/]", None: ""}
 
 
 class Check(NamedTuple):
@@ -53,156 +50,123 @@ def at_most(what: str, value: float, limit: float | None, unit: str = "") -> Che
 
 def inside(what: str, value: float, band: tuple[float, float] | None) -> Check:
     """A figure that is to lie in ``band``; None: for information. NaN was not measured, so it is not met."""
+    asked = "" if band is None else f"{band[0]:.3f} to {band[1]:.3f}"
     if not np.isfinite(value):
-        return Check(what, "not measured", "" if band is None else f"{band[0]:.3f} to {band[1]:.3f}", False)
-    if band is None:
-        return Check(what, f"{value:.3f}", "", None)
-    return Check(what, f"{value:.3f}", f"{band[0]:.3f} to {band[1]:.3f}", bool(band[0] <= value <= band[1]))
+        return Check(what, "not measured", asked, False)
+    return Check(what, f"{value:.3f}", asked, None if band is None else bool(band[0] <= value <= band[1]))
 
 
 class NoSettings(NamedTuple):
     """Of an experiment that is asked for nothing of its own."""
 
 
-class Finished(NamedTuple, Generic[S, R]):
+class Finished(NamedTuple, Generic[S]):
     """What was asked for and came out: a row a task, ``reused`` of them from earlier runs of the command."""
 
     request: CampaignRequest
     settings: S
     tasks: Sequence[Task]
-    rows: Sequence[R]
+    rows: Sequence[Row]
     reused: int
 
 
-def nothing(done: Finished[Any, Any]) -> dict[str, Any]:
+def nothing(done: Finished[Any]) -> dict[str, Any]:
     """No figures, no pictures."""
     return {}
 
 
 @dataclass(frozen=True)
-class Experiment(Generic[S, R]):
-    """``tasks`` makes the runs asked for, ``run`` measures one (a task to a row), the others judge all rows.
+class Experiment(Generic[S]):
+    """``tasks`` makes the runs asked for, ``run`` measures one, the others judge all rows.
 
-    ``settings``: a NamedTuple of options, annotated for the command line. ``run`` is called with the
-    configuration directory and a task, or with the task alone where it is not ``configured``. ``table``,
-    ``plot`` (name → figure) and ``figures`` (for JSON) show the rows, ``verdict`` compares them with limits.
-    All go into one page beside the rows; not ``page``: ``plot`` writes one of its own.
-    ``runs``, ``seed``: the defaults; 0 runs: the tasks do not depend on them.
-    ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is shorter than the start
-    of a worker. ``out``: where rows are kept, if not in ``runs/NAME``.
+    ``settings``: a NamedTuple of options, annotated for the command line. ``tables``, ``plot`` (name →
+    figure) and ``figures`` (for JSON) show the rows, ``verdict`` compares them with limits. ``runs``,
+    ``seed``: the defaults. ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is
+    shorter than the start of a worker.
     """
 
     name: str
-    title: str
     settings: type[S]
-    row: type[R]
     tasks: Callable[[CampaignRequest, S], Sequence[Task]]
-    run: Callable[..., Any]
-    table: Callable[[Finished[S, R]], Sequence[Table]]
-    verdict: Callable[[Finished[S, R]], Sequence[Check]]
-    plot: Callable[[Finished[S, R]], "Mapping[str, Figure]"] = nothing
-    figures: Callable[[Finished[S, R]], Mapping[str, Any]] = nothing
-    runs: int = 0
+    run: Run
+    tables: Callable[[Finished[S]], Sequence[Table]]
+    verdict: Callable[[Finished[S]], Sequence[Check]]
+    runs: int
+    plot: Callable[[Finished[S]], "Mapping[str, Figure]"] = nothing
+    figures: Callable[[Finished[S]], Mapping[str, Any]] = nothing
     seed: int = 1
     world: str = ""
     eyes: str = ""
-    configured: bool = True
     workers: int = 2
-    out: Path | None = None
 
     @property
     def directory(self) -> Path:
         """Where the rows are kept, unless the request says otherwise."""
-        return self.out or Path("runs") / self.name
+        return Path("runs") / self.name
 
 
-def perform(experiment: Experiment[S, R], request: CampaignRequest, settings: S) -> bool:
+def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) -> bool:
     """Whether every limit was met; tables and verdict are printed, rows and pictures in ``request.out``."""
     tasks = experiment.tasks(request, settings)
-    function = partial(experiment.run, request.config_dir) if experiment.configured else experiment.run
-    campaign = run_campaign(request, function, tasks, experiment.name)
-    rows = [typed(experiment.row, row) for row in campaign.rows]
-    done = Finished(request, settings, tasks, rows, campaign.reused)
-    tables = [*experiment.table(done), *_failures(campaign.rows)]
-    for made in tables:
+    campaign = run_campaign(request, experiment.run, tasks, experiment.name)
+    done = Finished(request, settings, tasks, *campaign)
+    for made in (*experiment.tables(done), *_failures(done.rows)):
         out.print(made)
-    checks = experiment.verdict(done)
-    show_checks(checks)
-    drawn, told = experiment.plot(done), _conditions(experiment, done)
-    out.print(told, highlight=False, soft_wrap=True)
-    _draw(request, drawn)
+    checks, conditions = experiment.verdict(done), _conditions(experiment, done)
+    lines = [(check.what, check.found, check.asked or "–", _VERDICTS[check.met]) for check in checks]
+    out.print(table("verdict", ("figure", "found", "asked", ""), lines))
+    out.print(conditions, highlight=False, soft_wrap=True)
+    for name, figure in experiment.plot(done).items():
+        path = request.out / f"{name}.png"
+        figure.savefig(path, dpi=_DPI)
+        out.print(f"picture: {path}", style="dim", highlight=False, soft_wrap=True)
     passed = all(check.met is not False for check in checks)
     figures = {
         "experiment": experiment.name,
         "passed": passed,
-        "checks": [check._asdict() for check in checks],
-        "conditions": told,
+        "checks": checks,
+        "conditions": conditions,
         "reused": campaign.reused,
         "rows": campaign.rows,
     }
-    write_json(request.json, figures | dict(experiment.figures(done)))
+    write_json(request.json_file, figures | dict(experiment.figures(done)))
     return passed
 
 
-def _conditions(experiment: Experiment[S, R], done: Finished[S, R]) -> str:
-    """Runs, seeds, world, eyes and settings, reused rows, time: what a figure must not be quoted without."""
-    request, chosen = done.request, done.settings._asdict()  # type: ignore[attr-defined]
-    parts = [f"{len(done.rows)} runs"]
-    if experiment.runs:
-        parts[0] += f", seeds {request.seed} to {request.seed + request.runs - 1}"
-    parts += [
-        f"{name}: {words}"
-        for name, words in (("world", experiment.world), ("eyes", experiment.eyes))
-        if words
-    ]
-    if (request.config_dir / BASE_FILE).is_file():
-        parts.append(f"configuration: {request.config_dir}")
-    parts += [
-        f"{name.replace('_', ' ')}: {_words(value)}"
-        for name, value in chosen.items()
-        if value not in (None, [])
-    ]
-    parts.append(f"{done.reused} rows reused, {len(done.rows) - done.reused} measured now, in {request.out}")
-    seconds = [float(row.cpu_s) for row in done.rows if hasattr(row, "cpu_s") and np.isfinite(row.cpu_s)]
-    if seconds:
-        parts.append(f"{np.mean(seconds):.1f} CPU s a run")
-    return "; ".join(parts)
+def _conditions(experiment: Experiment[S], done: Finished[S]) -> str:
+    """Runs, seeds, world, eyes and settings, reused rows: what a figure must not be quoted without."""
+    request, reused = done.request, done.reused
+    own: dict[str, Any] = {"world": experiment.world, "eyes": experiment.eyes}
+    own |= {"configuration": request.config_dir} | done.settings._asdict()  # type: ignore[attr-defined]
+    parts = [f"{len(done.rows)} runs, seeds {request.seed} to {request.seed + request.runs - 1}"]
+    for name, value in own.items():
+        if value not in (None, [], "", False):
+            text = " ".join(map(str, value)) if isinstance(value, list) else "yes" if value is True else value
+            parts.append(f"{name.replace('_', ' ')}: {text}")
+    counts = f"{reused} rows reused, {len(done.rows) - reused} measured now, in {request.out}"
+    return "; ".join([*parts, counts])
 
 
-def _words(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-
-
-def _failures(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
+def _failures(rows: Sequence[Row]) -> list[Table]:
     """The causes of failed runs, how often each, and the key of one of them; no table where none failed."""
-    failed = [row for row in rows if row.get("failure")]
-    causes = Counter(str(row["failure"]).partition(" ")[0].rstrip(":") for row in failed)
+    causes = failure_counts(row["failure"] for row in rows)
     cells = []
-    for cause, count in sorted(causes.items()):
-        first = next(row for row in failed if str(row["failure"]).startswith(cause))
+    for cause, count in causes:
+        first = next(row for row in rows if str(row["failure"]).startswith(cause))
         cells.append((cause, count, first["key"], str(first["failure"]).splitlines()[0]))
     headings = ("cause", "runs", "such as", "")
     return [table("runs that failed, and count as failed above", headings, cells)] if cells else []
 
 
-def show_checks(checks: Sequence[Check]) -> None:
-    """Print the verdict: of each figure what was found, what was asked, met or not."""
-    made = table("verdict", ("figure", "found", "asked", ""), ())
-    for check in checks:
-        verdict = f"[{_STYLES[check.met]}]{_VERDICTS[check.met]}[/]"
-        made.add_row(check.what, check.found, check.asked or "–", verdict)
-    if checks:
-        out.print(made)
+def failure_counts(failures: Iterable[str | None]) -> list[tuple[str, int]]:
+    """Cause → how often it is that of a failure, sorted; nothing and no text are none."""
+    return sorted(Counter(text.partition(" ")[0].rstrip(":") for text in failures if text).items())
 
 
-def _draw(request: CampaignRequest, drawn: "Mapping[str, Figure]") -> None:
-    """Every figure into the rows' directory."""
-    for name, figure in drawn.items():
-        path = request.out / f"{name}.png"
-        figure.savefig(path, dpi=_DPI)
-        out.print(f"picture: {path}", style="dim", highlight=False, soft_wrap=True)
+def demand_all(rows: Iterable[Row]) -> None:
+    """Raise MeasurementFailed with the cause of the first run that failed."""
+    if failed := next((row["failure"] for row in rows if row["failure"]), None):
+        raise MeasurementFailed("measurement.run_failed", failed)
 
 
 def seeds(request: CampaignRequest) -> range:
@@ -211,10 +175,6 @@ def seeds(request: CampaignRequest) -> range:
 
 
 # Options that several experiments share, worded once.
-Assignments = Annotated[
-    list[str] | None, Option("--set", help="Override one key, such as plant.payload.mass_kg=30; repeatable.")
-]
-Scenario = Annotated[str, Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
 
 
 class EyesKind(StrEnum):

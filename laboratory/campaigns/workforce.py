@@ -2,14 +2,13 @@
 
 import logging
 import signal
-import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from itertools import islice
 from multiprocessing import resource_tracker
-from types import FrameType
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import cv2
 import dask
@@ -20,15 +19,15 @@ from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
-from laboratory.campaigns.rows import Row, flat
+from laboratory.campaigns.rows import Row
 from protocol.errors import ConfigurationError, LinkLost, LongreachError
 from testbed.reporting.console import bars
 
 distributed: Any = untyped  # it has types in part only
 
 Task = dict[str, Any]
-Run = Callable[[Task], Any]
-"""A task to its row: flat, or a NamedTuple."""
+Run = Callable[[Path, Task], Row]
+"""A configuration directory and a task to its row."""
 
 AGAIN = "campaign."
 """Begins the causes that say nothing about the run itself: a resumed campaign tries it again."""
@@ -57,14 +56,14 @@ _QUIET = {
 }
 
 
-def _run(function: Run, task: Task) -> Row:
+def _run(function: Callable[[Task], Row], task: Task) -> Row:
     """One run; whatever it raises becomes its row's failure."""
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
     began, cpu_s = time.perf_counter(), time.process_time()
     row: Row
     try:
-        row = {"failure": "", **flat(function(task))}
+        row = {"failure": "", **function(task)}
     except LongreachError as error:
         row = {"failure": f"{error.cause}: {error}"}
     except Exception as error:
@@ -73,60 +72,41 @@ def _run(function: Run, task: Task) -> Row:
     return row | {name: round(value, 3) for name, value in times.items()}
 
 
-class _Workforce(NamedTuple):
-    client: Any
-    places: int  # runs that are handed out at once
-
-
 def results(
-    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
+    function: Callable[[Task], Row], tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
 ) -> Iterator[tuple[Task, Row]]:
     """Each task with its row, as they are done, under a bar called ``title``.
 
     With ``scheduler`` the runs go to its cluster; else to ``workers`` processes, or none: they are made here.
     Raises LinkLost when nobody is there or everybody has gone, ConfigurationError for a malformed address.
     """
-    if scheduler is None and workers == 0:
-        made = _one_by_one(function, tasks)
-    else:
+    made = ((task, _run(function, task)) for task in tasks)
+    if scheduler is not None or workers:
         made = _distribute(function, tasks, scheduler, workers)
-    spent: list[float] = []
-    failed = 0
-    with _ctrl_c_noted() as noted, bars() as shown, shown.step(title) as bar, closing(made):
-        for task, row in made:
-            spent.append(row.get("run_s") or 0.0)
+    spent_s, failed = 0.0, 0
+    with bars() as shown, shown.step(title) as bar, closing(made):
+        for done, (task, row) in enumerate(made, 1):
+            spent_s += row.get("run_s") or 0.0
             failed += bool(row["failure"])
-            mean_s = sum(spent) / len(spent)
-            note = f"{len(spent)} of {len(tasks)}, {mean_s:.1f} s a run, {failed} failed"
-            bar.update(len(spent) / len(tasks), note)
+            note = f"{done} of {len(tasks)}, {spent_s / done:.1f} s a run, {failed} failed"
+            bar.update(done / len(tasks), note)
             yield task, row
-            if noted:  # the row is kept first
-                raise KeyboardInterrupt
-
-
-def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[tuple[Task, Row], None, None]:
-    for task in tasks:
-        yield task, _run(function, task)
 
 
 def _distribute(
-    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
+    function: Callable[[Task], Row], tasks: Sequence[Task], scheduler: str | None, workers: int
 ) -> Generator[tuple[Task, Row], None, None]:
-    with _workforce(scheduler, workers) as force:
-        waiting = iter(tasks)
-        under_way: dict[Any, Task] = {}
-
-        def start(count: int) -> None:
-            for task in islice(waiting, count):
-                under_way[force.client.submit(_run, function, task, pure=False)] = task
-
-        start(force.places)
-        while under_way:
-            future = _first_done(force.client, list(under_way))
-            task = under_way.pop(future)
-            row = _outcome(future)
-            start(1)
-            yield task, row
+    with dask.config.set(_QUIET), _client(scheduler, workers) as client:
+        # No more at once than are worked on: what is done and not yet fetched dies with its worker.
+        waiting, under_way = iter(tasks), dict[Any, Task]()
+        places = sum(client.nthreads().values()) * (1 if scheduler is None else 2)
+        while True:
+            for task in islice(waiting, places - len(under_way)):
+                under_way[client.submit(_run, function, task, pure=False)] = task
+            if not under_way:
+                return
+            future = _first_done(client, list(under_way))
+            yield under_way.pop(future), _outcome(future)
 
 
 def _first_done(client: Any, futures: Sequence[Any]) -> Any:
@@ -158,40 +138,6 @@ def _outcome(future: Any) -> Row:
 
 
 @contextmanager
-def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
-    """Workers that are there, with a client of their scheduler; those started here are ended again."""
-    with ExitStack() as stack:
-        stack.enter_context(dask.config.set(_QUIET))
-        if scheduler is None:
-            cluster = stack.enter_context(_local_cluster(workers))
-            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-            yield _Workforce(client, workers)
-        else:
-            client = stack.enter_context(_client_of(scheduler))
-            yield _Workforce(client, 2 * sum(client.nthreads().values()))
-
-
-@contextmanager
-def _ctrl_c_noted() -> Iterator[list[int]]:
-    """Whether Ctrl-C came: where it is raised in a finaliser, Python swallows it."""
-    noted: list[int] = []
-    before = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield noted  # signals are the main thread's
-        return
-
-    def note(number: int, frame: FrameType | None) -> None:
-        noted.append(number)
-        before(number, frame)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield noted
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
 def _ctrl_c_held_back() -> Iterator[None]:
     """Ctrl-C takes effect after the block; threads and processes begun in it never hear of it."""
     resource_tracker.ensure_running()  # else the first of the processes does so, and lets Ctrl-C in
@@ -203,8 +149,15 @@ def _ctrl_c_held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _local_cluster(workers: int) -> Iterator[Any]:
-    """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
+def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
+    """A client of the scheduler; where none is named, of ``workers`` on loopback that are ended with it.
+
+    Raises LinkLost (``link.workers_not_started``), and as ``_client_of``.
+    """
+    if scheduler is not None:
+        with _client_of(scheduler) as client:
+            yield client
+        return
     try:
         with _ctrl_c_held_back():  # workers inherit it: the client alone acts on Ctrl-C
             cluster = distributed.LocalCluster(
@@ -222,7 +175,8 @@ def _local_cluster(workers: int) -> Iterator[Any]:
             "link.workers_not_started", f"{workers} workers could not be started: {error}"
         ) from error
     try:
-        yield cluster
+        with distributed.Client(cluster, set_as_default=False) as client:
+            yield client
     finally:
         with suppress(TimeoutError):  # a worker that will not end does so with this process
             cluster.close()

@@ -21,17 +21,17 @@ class Entry(NamedTuple):
     shows: str
     cost: str
 
-    def load(self, method: str | None = None) -> "Experiment[Any, Any]":
+    def load(self, method: str | None = None) -> "Experiment[Any]":
         """The experiment, by the usual method where none is named."""
         module, _, name = self.places[method or next(iter(self.places))].partition(":")
-        experiment: Experiment[Any, Any] = getattr(import_module(f"{__package__}.{module}"), name)
+        experiment: Experiment[Any] = getattr(import_module(f"{__package__}.{module}"), name)
         return experiment
 
 
 CATALOGUE = {
     "paper": Entry(
         {"": "paper.campaign:PAPER"},
-        "tables and figures of Mäkinen et al. 2023 beside ours, all or some, in one report",
+        "tables and figures of Mäkinen et al. 2023 beside ours, all or some",
         "6 CPU s with the model, 90 with pictures",
     ),
     "hua": Entry(
@@ -47,11 +47,9 @@ CATALOGUE = {
     "positioning": Entry(
         {
             "corrected": "positioning.corrected:CORRECTED",
-            "visual-servoing": "positioning.programs:VISUAL_SERVOING",
             "programs": "positioning.programs:PROGRAMS",
         },
-        "how near the tool comes over drawn machines: by one look corrected on the way, by the closed"
-        " loop at camera rate, or by any programs",
+        "how near the tool comes over drawn machines: by one look corrected on the way, or by any programs",
         "30 to 60 CPU s",
     ),
     "hole-drives": Entry(
@@ -61,7 +59,7 @@ CATALOGUE = {
     ),
     "parking": Entry(
         {"": "robustness.parking:PARKING"},
-        "how long joints take into 0.3 mrad, and how far the tool moves in ten minutes at rest",
+        "whether the tool stays while SETTLED says so, in ten minutes at rest",
         "60 to 90 CPU s of ten minutes",
     ),
     "commissioning": Entry(

@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from foundation.configuration import StrictModel
-from plant_emulator.config.structure import NotNegative, Positive
+from plant_emulator.config.structure import NotNegative, Positive, RotaryFrictionConfig, static_not_below
 
 BAR = 1e5  # Pa
 LITRE = 1e-3  # m³
@@ -25,12 +25,10 @@ class ProtectionConfig(StrictModel):
     """Relief and anti-cavitation at every chamber, passing the valve's rated flow at the difference."""
 
     relief_bar: Positive
-    anticavitation: bool
 
 
 class OilConfig(StrictModel):
     bulk_modulus_mpa: Annotated[float, Field(ge=50.0, le=3000.0)]
-    wall_compliance_m3_pa: Annotated[float, Field(ge=0.0, le=1e-10)]
     air_fraction: Annotated[float, Field(ge=0.0, le=0.1)]
     thermal_drift: bool
     temperature_degc: Annotated[float, Field(ge=-30.0, le=HOTTEST_DEGC)]
@@ -89,12 +87,6 @@ class PumpConfig(StrictModel):
 LEAST_DEAD_VOLUME_L = 0.02
 
 
-def _static_not_below(value: float, coulomb: float) -> float:
-    if value < coulomb:
-        raise ValueError(f"must not be below the Coulomb level {coulomb:g}: a seal holds most at rest")
-    return value
-
-
 def _cushion_fits(cushion: float, stroke: float, key: str) -> None:
     if 2.0 * cushion > stroke:
         raise ValueError(
@@ -115,23 +107,7 @@ class CylinderFrictionConfig(StrictModel):
     @field_validator("static_n")
     @classmethod
     def _order(cls, value: float, info: ValidationInfo) -> float:
-        return _static_not_below(value, info.data.get("coulomb_n", 0.0))
-
-
-class RotaryFrictionConfig(StrictModel):
-    """LuGre seal friction of a rotary actuator."""
-
-    coulomb_nm: NotNegative
-    static_nm: NotNegative
-    stribeck_rad_s: Positive
-    bristle_nm_rad: NotNegative
-    bristle_damping_nm_s_rad: NotNegative
-    viscous_nm_s_rad: NotNegative
-
-    @field_validator("static_nm")
-    @classmethod
-    def _order(cls, value: float, info: ValidationInfo) -> float:
-        return _static_not_below(value, info.data.get("coulomb_nm", 0.0))
+        return static_not_below(value, info.data.get("coulomb_n", 0.0))
 
 
 class CylinderStopConfig(StrictModel):

@@ -1,7 +1,7 @@
 """Configuration of the stereo camera as it truly is; vision is told other, nominal numbers."""
 
 import math
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -13,8 +13,7 @@ class ShadowConfig(StrictModel):
 
     Points whose way along ``direction_deg`` (in O, from x towards y) is less than the edge's keep ``factor``
     of their light; 1: no shadow. The edge is ``start_m`` along that direction at time 0 and wanders with
-    ``speed_m_s``; after ``way_m`` it begins again. ``penumbra_m`` is the width of its ramp. ``carried``: the
-    lamp and what stands before it are on the arm, and ``start_m`` counts from the camera, not from O.
+    ``speed_m_s``; after ``way_m`` it begins again. ``penumbra_m`` is the width of its ramp.
     """
 
     factor: float = Field(default=1.0, ge=0.0, le=1.0)
@@ -23,7 +22,6 @@ class ShadowConfig(StrictModel):
     speed_m_s: float = Field(default=0.1, ge=0.0, le=20.0)
     way_m: float = Field(default=2.0, gt=0.0, le=100.0)
     penumbra_m: float = Field(default=0.02, ge=0.001, le=2.0)
-    carried: bool = False
 
     @property
     def normal(self) -> tuple[float, float]:
@@ -31,12 +29,9 @@ class ShadowConfig(StrictModel):
         angle = math.radians(self.direction_deg)
         return math.cos(angle), math.sin(angle)
 
-    def edge_m(self, time_s: float, camera_m: tuple[float, float]) -> float:
-        """Where the edge is along its direction; ``camera_m``: x and y of the camera in O."""
-        edge_m = self.start_m + self.speed_m_s * time_s % self.way_m
-        if not self.carried:
-            return edge_m
-        return edge_m + self.normal[0] * camera_m[0] + self.normal[1] * camera_m[1]
+    def edge_m(self, time_s: float) -> float:
+        """Where the edge is along its direction."""
+        return self.start_m + self.speed_m_s * time_s % self.way_m
 
 
 class GlareConfig(StrictModel):
@@ -124,30 +119,23 @@ class DriftConfig(StrictModel):
     time_constant_s: float = Field(default=600.0, ge=1.0, le=86_400.0)
 
 
+_LINE_US = {60: 15.7, 30: 25.6, 15: 51.2}  # [S] Stereolabs support: 11.3, 18.4 and 36.9 ms for the 720 rows
+
+
 class ShutterConfig(StrictModel):
     """When the rows are exposed: all at once (``global``), or one after the other (``rolling``).
 
-    A rolling shutter reads a row every ``line_us[mode_hz]`` microseconds; ``mode_hz`` is the rate at which
-    the sensor runs, whatever share of its frames ``rate_hz`` lets pass. Stamps are of the middle row.
+    A rolling shutter reads row by row; ``mode_hz`` is the rate at which the sensor runs, whatever share of
+    its frames ``rate_hz`` lets pass. Stamps are of the middle row.
     """
 
     kind: Literal["global", "rolling"] = "global"
-    mode_hz: int = 30
-    line_us: dict[int, Annotated[float, Field(gt=0.0, le=200.0)]] = Field(
-        default_factory=lambda: {60: 15.7, 30: 25.6, 15: 51.2}
-    )
-
-    @model_validator(mode="after")
-    def _mode_is_known(self) -> "ShutterConfig":
-        if self.mode_hz not in self.line_us:
-            known = ", ".join(map(str, sorted(self.line_us)))
-            raise ValueError(f"mode_hz {self.mode_hz}: line_us has no such rate, only {known}")
-        return self
+    mode_hz: Literal[60, 30, 15] = 30
 
     @property
     def line_s(self) -> float:
         """Time from a row to the next (s), 0 for a global shutter."""
-        return 1e-6 * self.line_us[self.mode_hz] if self.kind == "rolling" else 0.0
+        return 1e-6 * _LINE_US[self.mode_hz] if self.kind == "rolling" else 0.0
 
 
 class StampsConfig(StrictModel):
@@ -165,14 +153,12 @@ class AutoExposureConfig(StrictModel):
     """The servo of both eyes' gain: it brings the left picture's mean, before the response curve, to
     ``mean_grey``.
 
-    The gain, between ``least_gain`` and ``most_gain``, follows what it should be with ``time_constant_s``.
+    The gain follows what it should be with ``time_constant_s``.
     """
 
     enabled: bool = False
     mean_grey: float = Field(default=110.0, ge=5.0, le=250.0)
     time_constant_s: float = Field(default=0.3, ge=0.01, le=60.0)
-    least_gain: float = Field(default=0.25, gt=0.0, le=1.0)
-    most_gain: float = Field(default=8.0, ge=1.0, le=64.0)
 
 
 class DirtConfig(StrictModel):
@@ -192,10 +178,8 @@ class DirtConfig(StrictModel):
 class CameraConfig(StrictModel):
     """The stereo camera as it really is. Vision is told other, nominal numbers.
 
-    ``lens`` is the left eye's. ``motion_blur_samples`` moments make one exposure (1: none).
-    ``response_gamma``: white times (light / white) to that power is the grey; ``exposure_gain`` is how bright
-    the scene is before ``auto_exposure`` meters it. ``dropped_frame_share`` of the frames never arrive;
-    ``frozen_frame_share`` of them repeat the picture before under a number of their own.
+    ``lens`` is the left eye's. ``response_gamma``: white times (light / white) to that power is the grey;
+    ``exposure_gain`` is how bright the scene is before ``auto_exposure`` meters it.
     """
 
     width_px: int = Field(default=1280, ge=64, le=4096)
@@ -214,16 +198,13 @@ class CameraConfig(StrictModel):
     response_gamma: float = Field(default=1.0, ge=0.2, le=3.0)
     dirt: tuple[DirtConfig, ...] = Field(default=(), max_length=16)
     vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
-    motion_blur_samples: int = Field(default=1, ge=1, le=32)
     shutter: ShutterConfig = ShutterConfig()
     stamps: StampsConfig = StampsConfig()
-    dropped_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
-    frozen_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
 
     @property
     def shows_motion(self) -> bool:
         """Whether its pictures depend on how it moves."""
-        return self.motion_blur_samples > 1 or self.shutter.kind == "rolling"
+        return self.shutter.kind == "rolling"
 
     @model_validator(mode="after")
     def _stamps_keep_their_order(self) -> "CameraConfig":
@@ -240,8 +221,8 @@ class CameraConfig(StrictModel):
         readout_s = self.shutter.line_s * self.height_px
         if readout_s * self.rate_hz > 1.0:
             raise ValueError(
-                f"shutter.line_us: {self.height_px} rows take {1e3 * readout_s:.1f} ms, longer than a frame "
-                f"at rate_hz {self.rate_hz:g}"
+                f"shutter.mode_hz {self.shutter.mode_hz}: {self.height_px} rows take "
+                f"{1e3 * readout_s:.1f} ms, longer than a frame at rate_hz {self.rate_hz:g}"
             )
         return self
 

@@ -35,17 +35,7 @@ from plant_emulator.config.structure import (
     TorsionConfig,
     VibrationConfig,
 )
-from plant_emulator.config.valves import JOINT_NAMES, JointName, ValvesConfig, without_what_is_told
-
-
-class StiffParts(NamedTuple):
-    """What the limits follow from."""
-
-    actuators: ActuatorsConfig
-    valves: ValvesConfig
-    protection: ProtectionConfig
-    oil: OilConfig
-    pump: PumpConfig
+from plant_emulator.config.valves import JOINT_NAMES, JointName, ValvesConfig, without_overridden
 
 
 class StepLimit(NamedTuple):
@@ -55,28 +45,27 @@ class StepLimit(NamedTuple):
     reason: str
 
 
-def shortest(circuit: StiffParts) -> StepLimit:
-    """The limit of the part that allows the shortest step."""
-    return min(_limits(circuit))
-
-
-def _limits(circuit: StiffParts) -> Iterator[StepLimit]:
+def _limits(circuit: Mapping[str, Any]) -> Iterator[StepLimit]:
     """Open regularised orifices let a chamber decay at β K / (V √δ), bristles relax at σ0 v / F_c."""
-    for name, actuator in zip(JOINT_NAMES, circuit.actuators.in_order(), strict=True):
+    for name, actuator in zip(JOINT_NAMES, circuit["actuators"].in_order(), strict=True):
         yield from _of_actuator(circuit, name, actuator)
-    pump, modulus = circuit.pump, circuit.oil.bulk_modulus_mpa * 1e6
+    pump: PumpConfig = circuit["pump"]
+    modulus = circuit["oil"].bulk_modulus_mpa * 1e6
     most = pump.flow_limit_l_min * LITRE_PER_MINUTE
     rate = modulus * 2.0 * most / (pump.droop_bar * BAR) / (pump.line_volume_l * LITRE)
     yield StepLimit(RUNGE_KUTTA_REACH / rate, f"pump.droop_bar = {pump.droop_bar:g}")
 
 
-def _of_actuator(circuit: StiffParts, name: JointName, actuator: ActuatorConfig) -> Iterator[StepLimit]:
+def _of_actuator(
+    circuit: Mapping[str, Any], name: JointName, actuator: ActuatorConfig
+) -> Iterator[StepLimit]:
     """Edges, check valves, relief, counterbalance, bristles and spool of one actuator."""
-    _, valves, guard, oil, pump = circuit
+    valves: ValvesConfig = circuit["valves"]
+    guard, oil, pump = circuit["protection"], circuit["oil"], circuit["pump"]
     soft, modulus = math.sqrt(valves.regularisation_bar * BAR), oil.bulk_modulus_mpa * 1e6
     flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
     gains = _edge_gains(valves, name, actuator)
-    check = flow / math.sqrt(ANTICAVITATION_DROP_BAR * BAR) if guard.anticavitation else 0.0
+    check = flow / math.sqrt(ANTICAVITATION_DROP_BAR * BAR)
     for key, supply, back in (("dead_volume_a_l", 0, 3), ("dead_volume_b_l", 2, 1)):
         volume = getattr(actuator, key) * LITRE
         rate = modulus * (max(gains[supply], gains[back]) + check) / (volume * soft)
@@ -166,6 +155,14 @@ class BaseTiltConfig(StrictModel):
     y_mrad: Small
 
 
+class CoolingOilConfig(StrictModel):
+    """Oil in the chambers that cools towards ``oil.ambient_degc``, and shrinks by what steel does not."""
+
+    enabled: bool
+    expansion_per_k: Annotated[float, Field(gt=0.0, le=2e-3)]
+    time_constant_s: Annotated[float, Field(ge=60.0, le=1e6)]
+
+
 class SwitchConfig(StrictModel):
     """Whether an error is there at all; its numbers stand with the part that has it."""
 
@@ -186,6 +183,7 @@ class ErrorsConfig(StrictModel):
     friction: SwitchConfig
     leakage: SwitchConfig
     valve_deadband: SwitchConfig
+    cooling_oil: CoolingOilConfig
     encoder_eccentricity: EccentricityConfig
     finer_bending: FinerBendingConfig
     torsion: TorsionConfig
@@ -241,7 +239,7 @@ class PlantConfig(StrictModel):
             or not isinstance(own or {}, Mapping)
         ):
             return data
-        return {**data, "valves": merged(without_what_is_told(sets[name], own or {}), own or {})}
+        return {**data, "valves": merged(without_overridden(sets[name], own or {}), own or {})}
 
     @field_validator("valve_set")
     @classmethod
@@ -307,8 +305,7 @@ class PlantConfig(StrictModel):
         known = info.data
         if not {"actuators", "valves", "protection", "oil", "pump"} <= known.keys():
             return value  # the fault that hides them is reported instead
-        parts = (known["actuators"], known["valves"], known["protection"], known["oil"], known["pump"])
-        limit, reason = shortest(StiffParts(*parts))
+        limit, reason = min(_limits(known))
         if value > limit * 1e3:
             raise ValueError(f"must not exceed {limit * 1e3:.3f}: {reason} would make Runge-Kutta diverge")
         return value

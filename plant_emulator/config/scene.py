@@ -1,6 +1,6 @@
 """Configuration of the visible world, all of it truth: wall, object, tool marker, camera mount and camera."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
@@ -8,9 +8,7 @@ from foundation.configuration import StrictModel
 from plant_emulator.config.camera import CameraConfig, LightingConfig
 from plant_emulator.config.surroundings import (
     AnyBoardConfig,
-    CableConfig,
     PasserConfig,
-    RebarConfig,
     WallConfig,
 )
 
@@ -40,8 +38,6 @@ class MarkerConfig(StrictModel):
     side_m: float = Field(gt=0.005, le=1.0)
     quiet_zone_m: float = Field(ge=0.0, le=0.5)
     print_scale_error: float = Field(default=0.0, ge=-0.05, le=0.05)
-    black_grey: float = Field(default=22.0, ge=0.0, le=255.0)
-    white_grey: float = Field(default=208.0, ge=0.0, le=255.0)
     bend_m: float = Field(default=0.0, ge=-0.005, le=0.005)
     bend_direction_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
 
@@ -90,19 +86,6 @@ class ObjectConfig(StrictModel):
         return self
 
 
-class ObstacleConfig(StrictModel):
-    """A plain plate that hides what is behind it: on the wall (in O) or carried by the tool (in M).
-
-    ``rotation_deg`` is a rotation vector; the plate lies in its own x-y plane and is seen from its +z side.
-    """
-
-    parent: Literal["wall", "tool"]
-    centre_m: Vector3
-    rotation_deg: Angles = (0.0, 0.0, 0.0)
-    size_m: tuple[Annotated[float, Field(gt=0.0, le=5.0)], Annotated[float, Field(gt=0.0, le=5.0)]]
-    grey: float = Field(default=60.0, ge=0.0, le=255.0)
-
-
 class SceneConfig(StrictModel):
     """``scene.yaml``: everything that the camera can see, and the camera."""
 
@@ -111,10 +94,7 @@ class SceneConfig(StrictModel):
     wall: WallConfig
     object_of_interest: ObjectConfig
     tool_marker: ToolMarkerConfig
-    obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
     boards: tuple[AnyBoardConfig, ...] = Field(default=(), max_length=16)
-    rebar: tuple[RebarConfig, ...] = Field(default=(), max_length=8)
-    cables: tuple[CableConfig, ...] = Field(default=(), max_length=16)
     passers: tuple[PasserConfig, ...] = Field(default=(), max_length=8)
     lighting: LightingConfig = LightingConfig()
     mount: PoseConfig

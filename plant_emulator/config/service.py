@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from foundation.configuration import HostName, StrictModel, load
+from foundation.configuration import Host, HostName, StrictModel, load
 from foundation.live import LiveSettings
-from foundation.periods import Policy
 from foundation.rest.tokens import TokenSources
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
@@ -17,7 +16,7 @@ from plant_emulator.config.scene import SceneConfig
 class Endpoint(StrictModel):
     """Where a TCP server listens. Port 0 lets the system choose; the ready line names the choice."""
 
-    host: str = Field(min_length=1)
+    host: Host
     port: int = Field(ge=0, le=65535)
 
 
@@ -45,7 +44,6 @@ class PlantServiceConfig(StrictModel):
     period_ms: float = Field(gt=0.1, le=20.0)
     truth_hz: float = Field(ge=50.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)
-    renderer_scheduling: Policy
     writer_release_ms: float = Field(ge=10.0, le=60_000.0)
     live: LiveSettings = LiveSettings()
 

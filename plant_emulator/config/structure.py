@@ -89,6 +89,13 @@ class PayloadConfig(StrictModel):
 Ratio = Annotated[float, Field(ge=0.0, le=0.2)]
 
 
+def static_not_below(value: float, coulomb: float) -> float:
+    """``value``. Raises ValueError below the Coulomb level."""
+    if value < coulomb:
+        raise ValueError(f"must not be below the Coulomb level {coulomb:g}: friction holds most at rest")
+    return value
+
+
 class EccentricityConfig(StrictModel):
     """Encoders off the centre of their shafts: each reading is off by mrad · sin(angle + phase)."""
 
@@ -165,23 +172,26 @@ class BearingTiltConfig(StrictModel):
     damping_nm_s_rad: NotNegative
 
 
-class RingFrictionConfig(StrictModel):
-    """LuGre friction between the turning upper structure and the base."""
+class RotaryFrictionConfig(StrictModel):
+    """LuGre friction about an axis."""
 
     coulomb_nm: NotNegative
     static_nm: NotNegative
     stribeck_rad_s: Positive
-    bristle_nm_rad: Positive
+    bristle_nm_rad: NotNegative
     bristle_damping_nm_s_rad: NotNegative
     viscous_nm_s_rad: NotNegative
 
     @field_validator("static_nm")
     @classmethod
-    def _holds_most_at_rest(cls, value: float, info: ValidationInfo) -> float:
-        coulomb = info.data.get("coulomb_nm")
-        if coulomb is not None and value < coulomb:
-            raise ValueError(f"must not be below coulomb_nm = {coulomb:g}: friction holds most at rest")
-        return value
+    def _order(cls, value: float, info: ValidationInfo) -> float:
+        return static_not_below(value, info.data.get("coulomb_nm", 0.0))
+
+
+class RingFrictionConfig(RotaryFrictionConfig):
+    """LuGre friction between the turning upper structure and the base."""
+
+    bristle_nm_rad: Positive
 
 
 class LooseSlewConfig(StrictModel):

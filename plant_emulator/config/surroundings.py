@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 from foundation.configuration import StrictModel
 
 Vector3 = tuple[float, float, float]
-Grey = Annotated[float, Field(ge=0.0, le=255.0)]
 Dictionary = Literal[
     "DICT_4X4_1000", "DICT_5X5_100", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL"
 ]
@@ -20,8 +19,6 @@ class BoardConfig(StrictModel):
 
     position_m: Vector3
     rotation_deg: Vector3 = (0.0, 0.0, 0.0)
-    black_grey: Grey = 22.0
-    white_grey: Grey = 208.0
 
 
 class CalibrationMarkerConfig(BoardConfig):
@@ -68,32 +65,8 @@ class CharucoConfig(BoardConfig):
         return self
 
 
-class CabinetConfig(BoardConfig):
-    """The front of a control cabinet: sheet metal with a knob, a switch and a key hole, seen from before.
-
-    Targets are their middles in the front's axes, metres (x right, y up). ``seed`` makes the paint's grain.
-    """
-
-    kind: Literal["cabinet"]
-    seed: int = Field(default=11, ge=0, lt=2**63)
-    width_m: float = Field(default=0.384, gt=0.1, le=1.0)
-    height_m: float = Field(default=0.288, gt=0.1, le=1.0)
-    texel_mm: float = Field(default=0.5, ge=0.1, le=2.0)
-    knob_m: tuple[float, float] = (-0.11, 0.055)
-    switch_m: tuple[float, float] = (0.10, 0.06)
-    key_hole_m: tuple[float, float] = (0.03, -0.075)
-
-    @model_validator(mode="after")
-    def _targets_on_the_front(self) -> "CabinetConfig":
-        for name in ("knob_m", "switch_m", "key_hole_m"):
-            x, y = getattr(self, name)
-            if abs(x) > 0.5 * self.width_m - 0.03 or abs(y) > 0.5 * self.height_m - 0.03:
-                raise ValueError(f"{name} {(x, y)}: must be 0.03 m inside the front's rim")
-        return self
-
-
 AnyBoardConfig = Annotated[
-    CalibrationMarkerConfig | CheckerboardConfig | CharucoConfig | CabinetConfig, Field(discriminator="kind")
+    CalibrationMarkerConfig | CheckerboardConfig | CharucoConfig, Field(discriminator="kind")
 ]
 
 
@@ -103,32 +76,28 @@ Length = Annotated[float, Field(gt=0.01, le=10.0)]
 class DrillHoleConfig(StrictModel):
     """A drill hole in the wall, centre in O axes (x right, y up), with a brighter rim.
 
-    ``depth_m`` 0: a disc of paint. Deeper: a tube straight into the wall, in which what is seen moves with
-    the eye; its rim has broken out by up to ``broken`` of its radius in places that ``seed`` chooses.
+    A tube straight into the wall, in which what is seen moves with the eye; its rim has broken out by up to
+    ``broken`` of its radius in places that ``seed`` chooses.
     """
 
     centre_m: tuple[float, float]
     diameter_mm: float = Field(gt=1.0, le=500.0)
     grey: int = Field(default=18, ge=0, le=255)
     rim_grey: int = Field(default=165, ge=0, le=255)
-    depth_m: float = Field(default=0.0, ge=0.0, le=20.0)
+    depth_m: float = Field(default=0.5, gt=0.0, le=20.0)
     broken: float = Field(default=0.0, ge=0.0, le=0.5)
     seed: int = Field(default=1, ge=0, lt=2**31)
 
 
 class BarePatchConfig(StrictModel):
-    """A round patch of the wall with little to see: smooth plaster, shotcrete, a wet stain. Centre in O axes.
+    """A round patch of the wall with little to see: smooth plaster, shotcrete. Centre in O axes.
 
-    ``contrast`` is the share of the wall's contrast that it has left. A wet one shines: ``gloss_grey`` is
-    added where a mirror would show the lamp of ``lighting.glare``, less around it as a bell of standard
-    deviation ``gloss_width_m``, so that each eye sees it elsewhere.
+    ``contrast`` is the share of the wall's contrast that it has left.
     """
 
     centre_m: tuple[float, float]
     radius_m: float = Field(gt=0.01, le=2.0)
     contrast: float = Field(default=0.1, ge=0.0, le=1.0)
-    gloss_grey: float = Field(default=0.0, ge=0.0, le=2000.0)
-    gloss_width_m: float = Field(default=0.08, ge=0.01, le=1.0)
 
 
 class BlockConfig(StrictModel):
@@ -167,46 +136,6 @@ class WallConfig(StrictModel):
             raise ValueError(
                 "lighting_gradient_per_m: more than 0.4 per metre darkens the wall to black within reach"
             )
-        return self
-
-
-class RebarConfig(StrictModel):
-    """A mat of reinforcing bars before the wall, upright and level ones ``spacing_m`` apart.
-
-    Its middle in O axes; ``standoff_m`` is how far before the wall it stands.
-    """
-
-    centre_m: tuple[float, float]
-    size_m: tuple[Length, Length]
-    spacing_m: float = Field(default=0.2, ge=0.05, le=2.0)
-    diameter_m: float = Field(default=0.016, ge=0.004, le=0.1)
-    standoff_m: float = Field(default=0.1, ge=0.0, le=1.0)
-    grey: float = Field(default=75.0, ge=0.0, le=255.0)
-
-    @model_validator(mode="after")
-    def _bars_can_be_counted(self) -> "RebarConfig":
-        if max(self.size_m) / self.spacing_m > 40.0:
-            raise ValueError(
-                f"spacing_m {self.spacing_m:g}: more than 40 bars side by side over {self.size_m}"
-            )
-        return self
-
-
-class CableConfig(StrictModel):
-    """A cable before the wall between two ends in O axes, ``sag_m`` lower in its middle."""
-
-    ends_m: tuple[tuple[float, float, float], tuple[float, float, float]]
-    sag_m: float = Field(default=0.1, ge=0.0, le=5.0)
-    diameter_m: float = Field(default=0.02, ge=0.004, le=0.2)
-    grey: float = Field(default=45.0, ge=0.0, le=255.0)
-
-    @model_validator(mode="after")
-    def _hangs_before_the_wall(self) -> "CableConfig":
-        (x0, y0, z0), (x1, y1, z1) = self.ends_m
-        if not min(z0, z1) > 0.0:
-            raise ValueError(f"ends_m: z = {min(z0, z1):g}, a cable hangs before the wall: above 0")
-        if math.hypot(x1 - x0, y1 - y0, z1 - z0) < 0.05:
-            raise ValueError("ends_m: the ends must be 0.05 m apart")
         return self
 
 

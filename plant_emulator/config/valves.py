@@ -21,14 +21,21 @@ Flow = Annotated[float, Field(gt=0.0, le=1000.0)]
 ActuatorLeakage = Annotated[float, Field(ge=0.0, le=1e-10)]
 
 
-def _spread(data: Any, keys: tuple[str, ...]) -> Any:
-    """A single number stands for each of ``keys``."""
-    if isinstance(data, int | float) and not isinstance(data, bool):
-        return dict.fromkeys(keys, data)
-    return data
+class EachPart(StrictModel):
+    """Numbers that one number may stand for."""
+
+    @classmethod
+    def spread(cls, data: Any) -> Any:
+        """A plain number as each of the parts."""
+        return dict.fromkeys(cls.model_fields, data) if isinstance(data, int | float) else data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_all(cls, data: Any) -> Any:
+        return cls.spread(data)
 
 
-class EdgeOverlaps(StrictModel):
+class EdgeOverlaps(EachPart):
     """How far the spool travels, of its full stroke, before each of its four metering edges opens.
 
     One number stands for all four. Extending opens ``supply_a`` and ``return_b``, retracting ``supply_b``
@@ -40,46 +47,26 @@ class EdgeOverlaps(StrictModel):
     supply_b: Overlap | None = None
     return_a: Overlap | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_for_all(cls, data: Any) -> Any:
-        return _spread(data, ("supply_a", "return_b", "supply_b", "return_a"))
 
-
-class SlewLimits(StrictModel):
+class SlewLimits(EachPart):
     """How fast (1/s, of full stroke) the spool moves out of the centre, and back; one number for both."""
 
     out: Speed | None = None
     back: Speed | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_for_both(cls, data: Any) -> Any:
-        return _spread(data, ("out", "back"))
 
-
-class DirectionSlopes(StrictModel):
+class DirectionSlopes(EachPart):
     """The flow curve's slope where an edge opens, over its mean slope; 1 is linear, less is progressive."""
 
     extend: Slope | None = None
     retract: Slope | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _one_for_both(cls, data: Any) -> Any:
-        return _spread(data, ("extend", "retract"))
 
-
-class DirectionFlows(StrictModel):
+class DirectionFlows(EachPart):
     """Rated flow at full spool (l/min) in each direction; where none is told, the actuator's."""
 
     extend: Flow | None = None
     retract: Flow | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_for_both(cls, data: Any) -> Any:
-        return _spread(data, ("extend", "retract"))
 
 
 class JointValveConfig(StrictModel):
@@ -129,7 +116,7 @@ def _value_of(
     return otherwise
 
 
-def without_what_is_told(valve_set: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def without_overridden(valve_set: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     """``valve_set`` whose joints say nothing of what ``own`` says of all six; both as read from a file.
 
     So ``plant.valves.deadband=0.01`` holds for every valve, however much the set's own differ.
@@ -147,21 +134,15 @@ def _without_common(entry: Any, stated: Mapping[str, Any]) -> Any:
         return entry
     left = {}
     for key, value in entry.items():
-        common = stated.get(key)
-        if isinstance(common, Mapping) and key in JointValveConfig.model_fields:
-            whole = _spread(value, _parts(key))
+        common, known = stated.get(key), JointValveConfig.model_fields.get(key)
+        if isinstance(common, Mapping) and known is not None and isinstance(known.default, EachPart):
+            whole = type(known.default).spread(value)
             if isinstance(whole, Mapping):
                 left[key] = {part: number for part, number in whole.items() if common.get(part) is None}
                 continue
         if common is None:
             left[key] = value
     return left
-
-
-def _parts(key: str) -> tuple[str, ...]:
-    """The parts of a joint's entry ``key``; none of a plain number."""
-    default = JointValveConfig.model_fields[key].default
-    return tuple(type(default).model_fields) if isinstance(default, StrictModel) else ()
 
 
 class Valve(NamedTuple):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from plant_emulator.config.actuators import BAR
 from plant_emulator.core import layout as col
 from plant_emulator.core.layout import (
+    CHAMBER_TEMPERATURE,
     JOINTS,
     LOAD_SENSE,
     N_ACTUATORS,
@@ -160,4 +161,5 @@ def rest_state(model: Model, q: Array, temperature: float) -> Array:
     state[LOAD_SENSE] = low
     state[SUPPLY] = min(high, low + sensing) if sensing > 0.0 else high
     state[TEMPERATURE] = temperature
+    state[CHAMBER_TEMPERATURE : CHAMBER_TEMPERATURE + N_ACTUATORS] = temperature
     return state

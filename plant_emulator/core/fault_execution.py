@@ -1,32 +1,23 @@
 """Orders carried out on the plant."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.faults.schedule import (
-    FaultState,
+    FaultOrder,
     Injection,
     MendOrder,
     Order,
-    OrderAnswer,
     OrderMessage,
-    PlantMessage,
-    RestartOrder,
+    PlantAnswer,
 )
 from plant_emulator.core.plant import Plant
 from protocol.errors import RequestRefused
 
 Cover = Callable[[MarkerCovered], object]
-
-
-def fault_state(plant: Plant) -> FaultState:
-    """The plant's faults now."""
-    active, planned = (
-        [one.as_dict() for one in some] for some in (plant.faults.active, plant.faults.planned)
-    )
-    return FaultState.model_construct(time_ns=plant.time_ns, active=active, planned=planned)
 
 
 def true_points(plant: Plant) -> list[list[float]]:
@@ -37,27 +28,33 @@ def true_points(plant: Plant) -> list[list[float]]:
     return [[round(float(value), 5) for value in point] for point in points]
 
 
-def carry_out(message: OrderMessage, plant: Plant, cover: Cover) -> PlantMessage:
+def carry_out(message: OrderMessage, plant: Plant, cover: Cover, *, shows_truth: bool) -> PlantAnswer:
     """What the plant says to an order, which is carried out or refused. ``cover``: ``Scene.cover``."""
+    said: dict[str, Any] = {}
     try:
-        concerned = obey(message.order, plant, cover)
+        said["concerned"] = [one.as_dict() for one in obey(message.order, plant, cover)]
     except RequestRefused as refused:
-        answer = OrderAnswer(number=message.number, cause=refused.cause, detail=str(refused))
-    else:
-        answer = OrderAnswer(number=message.number, concerned=tuple(one.as_dict() for one in concerned))
-    return PlantMessage(state=fault_state(plant), answer=answer)
+        said = {"cause": refused.cause, "detail": str(refused)}
+    return PlantAnswer(
+        number=message.number,
+        time_ns=plant.time_ns,
+        active=[one.as_dict() for one in plant.faults.active],
+        planned=[one.as_dict() for one in plant.faults.planned],
+        arm_points_m=true_points(plant) if shows_truth else None,
+        **said,
+    )
 
 
 def obey(order: Order, plant: Plant, cover: Cover) -> list[Injection]:
     """The faults that an order made or mended. Raises RequestRefused."""
-    if isinstance(order, RestartOrder):
-        return []  # by who holds the process
     if isinstance(order, MendOrder):
         if order.number is not None:
             return [plant.clear(order.number)]
         mended = list(plant.faults.all())
         plant.clear_faults()
         return mended
+    if not isinstance(order, FaultOrder):
+        return []  # a restart is for who holds the process
     if isinstance(order.fault, MarkerCovered):
         cover(order.fault)
     start_ns = plant.time_ns + round(1e9 * order.start_after_s)

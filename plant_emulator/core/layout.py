@@ -3,7 +3,8 @@
 Ten coordinates of the plain arm: six driven joints and four flexible hinges (vertical and lateral, on boom
 and tilt link). The state vector is coordinates, their rates, then per actuator spool, spool rate, chamber
 pressures and friction bristle, then supply pressure and oil temperature, then per actuator the opening of its
-counterbalance valve, and the pressure in the load-sensing line. What else moves (a rocking base, a loose
+counterbalance valve, the pressure in the load-sensing line, and per actuator the temperature of its oil. What
+else moves (a rocking base, a loose
 slew, …) has its states behind these, so the plain arm's places never change: angles, rates, the bristle of
 the slewing ring, the time. ``Places`` tells where in the state each coordinate of the chain stands.
 """
@@ -66,22 +67,24 @@ A_SLOPE = 35
 A_SPOOL_LEAKAGE = 37
 A_COLUMNS = 38
 
-# oil: modulus, wall compliance per chamber, air fraction, polytropic exponent
-C_MODULUS, C_WALL, C_AIR, C_EXPONENT = range(4)
+# oil: modulus, air fraction, polytropic exponent
+C_MODULUS, C_AIR, C_EXPONENT = range(3)
 # temperature: reference, drifts (1/K), cooling rate (1/s), ambient, heat capacity (0: held)
-C_REFERENCE, C_VISCOSITY_DRIFT, C_MODULUS_DRIFT, C_COOLING, C_AMBIENT, C_HEAT_CAPACITY = range(4, 10)
+C_REFERENCE, C_VISCOSITY_DRIFT, C_MODULUS_DRIFT, C_COOLING, C_AMBIENT, C_HEAT_CAPACITY = range(3, 9)
 # supply: set and return pressure, pump's limit and gain, line volume, dump orifice, 1 while it runs
-C_SET, C_RETURN, C_FLOW_LIMIT, C_PUMP_GAIN, C_LINE_VOLUME, C_DUMP, C_RUNNING = range(10, 17)
-C_RELIEF, C_REGULARISATION = range(17, 19)
+C_SET, C_RETURN, C_FLOW_LIMIT, C_PUMP_GAIN, C_LINE_VOLUME, C_DUMP, C_RUNNING = range(9, 16)
+C_RELIEF, C_REGULARISATION = range(16, 18)
 # counterbalance: setting, pilot ratio, pressure from cracking to full opening
-C_HOLD, C_PILOT, C_HOLD_RANGE = range(19, 22)
+C_HOLD, C_PILOT, C_HOLD_RANGE = range(18, 21)
 # what the running pump loses as heat (W); what the pressure compensators keep across an edge (0 without)
-C_IDLE_LOSS, C_COMPENSATOR = 22, 23
+C_IDLE_LOSS, C_COMPENSATOR = 21, 22
 # counterbalance: lag of the opening behind its pilot (s, 0: none)
-C_HOLD_LAG = 24
+C_HOLD_LAG = 23
 # load-sensing pump: pressure above the highest load (0: constant pressure), lag of the line (s)
-C_LS_MARGIN, C_LS_LAG = 25, 26
-C_COLUMNS = 27
+C_LS_MARGIN, C_LS_LAG = 24, 25
+# oil in the chambers: expansion net of steel (1/K, 0: its temperature is held), rate of cooling (1/s)
+C_EXPANSION, C_CHAMBER_COOLING = 26, 27
+C_COLUMNS = 28
 
 # net flow into each chamber, flow drawn from the supply, pressure force, friction, position, velocity, stop
 F_NET_A, F_NET_B, F_SUPPLY, F_PUSH, F_FRICTION, F_POSITION, F_VELOCITY, F_STOP = range(8)
@@ -122,7 +125,8 @@ SUPPLY = BRISTLE + N_ACTUATORS
 TEMPERATURE = SUPPLY + 1
 HOLDING = TEMPERATURE + 1
 LOAD_SENSE = HOLDING + N_ACTUATORS
-N_STATES = LOAD_SENSE + 1
+CHAMBER_TEMPERATURE = LOAD_SENSE + 1
+N_STATES = CHAMBER_TEMPERATURE + N_ACTUATORS
 
 
 class Places(NamedTuple):

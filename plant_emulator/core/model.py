@@ -87,7 +87,7 @@ def _describe_valve(valves: ValvesConfig, valve: Valve, row: Array) -> None:
 def build_actuators(config: PlantConfig) -> Array:
     """The actuator table (6, A_COLUMNS) of ``config``."""
     table = np.zeros((N_ACTUATORS, col.A_COLUMNS))
-    valves, guard, errors = config.valves, config.protection, config.errors
+    valves, errors = config.valves, config.errors
     for name, row, actuator in zip(JOINT_NAMES, table, config.actuators.in_order(), strict=True):
         _describe_actuator(actuator, row)
         flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
@@ -96,8 +96,8 @@ def build_actuators(config: PlantConfig) -> Array:
             actuator.dead_volume_b_l * LITRE,
         )
         valve = valves.of(name, actuator.rated_flow_l_min)
-        told = valve.actuator_leakage_m3_s_pa
-        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa if math.isnan(told) else told
+        stated = valve.actuator_leakage_m3_s_pa
+        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa if math.isnan(stated) else stated
         _describe_valve(valves, valve, row)
         if not errors.leakage.enabled:
             row[[col.A_LEAKAGE, col.A_SPOOL_LEAKAGE]] = 0.0
@@ -106,8 +106,7 @@ def build_actuators(config: PlantConfig) -> Array:
         if not errors.valve_deadband.enabled:
             row[col.A_DEADBAND : col.A_DEADBAND + len(col.EDGES)] = 0.0
         row[col.A_RELIEF] = flow / (RELIEF_OVERRIDE_BAR * BAR)
-        if guard.anticavitation:
-            row[col.A_ANTICAVITATION] = orifice_gain(flow, ANTICAVITATION_DROP_BAR * BAR)
+        row[col.A_ANTICAVITATION] = orifice_gain(flow, ANTICAVITATION_DROP_BAR * BAR)
     if errors.finer_bending.enabled:
         table[1:3, col.A_STOP_DAMPING] *= errors.finer_bending.stop_damping_share
     hold = valves.counterbalance
@@ -121,7 +120,7 @@ def build_circuit(config: PlantConfig) -> Array:
     oil, pump, guard = config.oil, config.pump, config.protection
     most, capacity = pump.flow_limit_l_min * LITRE_PER_MINUTE, oil.heat_capacity_kj_k * 1e3
     c = np.zeros(col.C_COLUMNS)
-    c[col.C_MODULUS], c[col.C_WALL] = oil.bulk_modulus_mpa * 1e6, oil.wall_compliance_m3_pa
+    c[col.C_MODULUS] = oil.bulk_modulus_mpa * 1e6
     c[col.C_AIR], c[col.C_EXPONENT] = oil.air_fraction, _POLYTROPIC_EXPONENT
     c[col.C_REFERENCE], c[col.C_AMBIENT] = oil.reference_degc, oil.ambient_degc
     c[col.C_VISCOSITY_DRIFT], c[col.C_MODULUS_DRIFT] = oil.viscosity_per_k, oil.modulus_per_k
@@ -144,6 +143,9 @@ def build_circuit(config: PlantConfig) -> Array:
     sensing = pump.load_sensing
     if sensing.enabled:
         c[col.C_LS_MARGIN], c[col.C_LS_LAG] = sensing.margin_bar * BAR, sensing.lag_ms * 1e-3
+    cools = config.errors.cooling_oil
+    if cools.enabled:
+        c[col.C_EXPANSION], c[col.C_CHAMBER_COOLING] = cools.expansion_per_k, 1.0 / cools.time_constant_s
     return c
 
 

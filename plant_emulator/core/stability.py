@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from plant_emulator.config.actuators import RUNGE_KUTTA_REACH
 from plant_emulator.core import layout as col
 from plant_emulator.core.layout import (
+    CHAMBER_TEMPERATURE,
     COORDINATES,
     JOINTS,
     LOAD_SENSE,
@@ -34,7 +35,7 @@ def linearised(model: Model, state: Array, command: Array) -> Array:
     work, steps = new_work(model), np.full(n, 1e-6)
     steps[PRESSURE_A : PRESSURE_A + 2 * N_ACTUATORS] = 100.0
     steps[[SUPPLY, LOAD_SENSE]] = 100.0
-    steps[TEMPERATURE] = 1e-3
+    steps[[TEMPERATURE, *range(CHAMBER_TEMPERATURE, CHAMBER_TEMPERATURE + N_ACTUATORS)]] = 1e-3
     jacobian, above, below = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     for j in range(n):
         moved = state.copy()

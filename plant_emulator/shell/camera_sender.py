@@ -3,70 +3,48 @@
 import asyncio
 import contextlib
 import json
+import pickle
 import signal
 import socket
-import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import cv2
 import numpy as np
-from pydantic import BaseModel
 
 from foundation.child_process import ended, started
 from foundation.event_log import process_log
-from foundation.periods import Policy, take_policy
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.exposures import CameraMotion, CameraView, Capture, Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
-from plant_emulator.core.faults.kinds import AnyFault, CameraBlind, MarkerCovered
+from plant_emulator.core.faults.kinds import AnyFault
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 from protocol.errors import LinkLost
 
-_POSES = struct.Struct("<4Q62d")
 _MESSAGE_BYTES = 1 << 16
 _REPORT_NS = 1_000_000_000
-
-
-class _Sights(BaseModel):
-    """What hinders the camera's sight."""
-
-    blind: CameraBlind | None
-    covers: tuple[MarkerCovered, ...]
-
-
-def encode_shot(shot: Shot) -> bytes:
-    """The datagram that carries ``shot`` to the renderer: numbers, then what hinders its sight as JSON."""
-    shown = shot.shown
-    X_WO = np.full((4, 4), np.nan) if shown.view.X_WO is None else shown.view.X_WO
-    view = (*shown.view.X_WC.flat, *shown.view.X_WM.flat, *X_WO.flat)
-    numbers = (*view, *shown.motion.rates.flat, *shown.drift_px)
-    poses = _POSES.pack(shot.frame_id, shot.capture_ns, shown.frame_id, shown.capture_ns, *numbers)
-    return poses + _Sights(blind=shot.blind, covers=shot.covers).model_dump_json().encode()
-
-
-def decode_shot(data: bytes) -> Shot:
-    """The shot in a datagram; what is sent is to be delivered."""
-    frame_id, capture_ns, shown_id, shown_ns, *numbers = _POSES.unpack_from(data)
-    X_WC, X_WM, X_WO = np.array(numbers[:48]).reshape(3, 4, 4)
-    view = CameraView(X_WC, X_WM, X_WO if np.isfinite(X_WO).all() else None)
-    motion = CameraMotion(np.array(numbers[48:60]).reshape(2, 6))
-    shown = Capture(shown_id, shown_ns, view, motion, (numbers[60], numbers[61]))
-    sights = _Sights.model_validate_json(data[_POSES.size :])
-    return Shot(frame_id, capture_ns, shown, sights.blind, sights.covers, delivered=True)
+EVERY = "every"
+PICTURE_NS = 30_000_000
+"""From the capture of a picture until it is there, in the plant's time: what rendering and the stream take on
+a machine that keeps up [M]. Meanwhile the other core goes on."""
 
 
 class Renderer:
-    """Renders the newest shot asked for, while anybody watches; older ones are skipped and counted."""
+    """Renders the newest shot asked for, while anybody watches; older ones are skipped and counted.
 
-    def __init__(self, scene: SceneConfig, poses: socket.socket, server: FrameServer) -> None:
+    ``every``: none is skipped, and what became of each is told: the plant's time waits for it.
+    """
+
+    def __init__(self, scene: SceneConfig, poses: socket.socket, server: FrameServer, every: bool) -> None:
         self._camera = StereoCamera(scene.camera, Scene(scene), scene.seed)
         self._exposure_us = scene.camera.exposure_us
         self._poses = poses
         self._server = server
+        self._every = every
         self._rendered = 0
         self._skipped = 0
         self._unwatched = 0
@@ -81,10 +59,12 @@ class Renderer:
         self._report("ready")
         next_report = time.monotonic_ns() + _REPORT_NS
         while (shot := self._newest()) is not None:
-            if self._server.watched:
+            if watched := self._server.watched:
                 self._render(shot)
             else:
                 self._unwatched += 1
+            if self._every:
+                _send(self._poses, event="picture", published=watched)
             if time.monotonic_ns() >= next_report:
                 next_report = time.monotonic_ns() + _REPORT_NS
                 self._report("running")
@@ -93,21 +73,24 @@ class Renderer:
     def _newest(self) -> Shot | None:
         """The newest shot waiting, after waiting for one; None when the plant has gone."""
         data = self._poses.recv(_MESSAGE_BYTES)
-        while data:
+        while data and not self._every:
             try:
                 newer = self._poses.recv(_MESSAGE_BYTES, socket.MSG_DONTWAIT)
             except BlockingIOError:
-                return decode_shot(data)
+                break
             self._skipped += bool(newer)
             data = newer
-        return None
+        shot: Shot | None = pickle.loads(data) if data else None  # from the plant, which started this process
+        return shot
 
     def _render(self, shot: Shot) -> None:
         begun = time.thread_time_ns()
         left, right = self._camera.take(shot)
         self._render_ns = [*self._render_ns[-999:], time.thread_time_ns() - begun]
         self._rendered += 1
-        self._server.publish(StereoFrame(shot.frame_id, shot.capture_ns, self._exposure_us, left, right))
+        sent_ns = shot.capture_ns + PICTURE_NS if self._every else None
+        frame = StereoFrame(shot.frame_id, shot.capture_ns, self._exposure_us, left, right, sent_ns)
+        self._server.publish(frame)
 
     def _report(self, event: str) -> None:
         times = np.array(self._render_ns or [0]) / 1e6
@@ -120,8 +103,12 @@ class Renderer:
             "render_cpu_p99_ms": float(np.percentile(times, 99)),
             **self._server.statistics(),
         }
-        with contextlib.suppress(OSError):
-            self._poses.send(json.dumps(report).encode(), socket.MSG_DONTWAIT)
+        _send(self._poses, **report)
+
+
+def _send(poses: socket.socket, **report: Any) -> None:
+    with contextlib.suppress(OSError):
+        poses.send(json.dumps(report).encode(), socket.MSG_DONTWAIT)
 
 
 def main() -> int:
@@ -129,22 +116,21 @@ def main() -> int:
     # A signal to the whole process group reaches the plant too, which then closes its end of the socket.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    listen_fd, pose_fd, scheduling = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    listen_fd, pose_fd, every = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     cv2.setNumThreads(1)
     with process_log("renderer"):
-        _serve(listen_fd, pose_fd, cast(Policy, scheduling))
+        _serve(listen_fd, pose_fd, every == EVERY)
     return 0
 
 
-def _serve(listen_fd: int, pose_fd: int, scheduling: Policy) -> None:
+def _serve(listen_fd: int, pose_fd: int, every: bool) -> None:
     scene = SceneConfig.model_validate_json(sys.stdin.buffer.read())
     with socket.socket(fileno=pose_fd) as poses:
-        server = FrameServer(socket.socket(fileno=listen_fd))
-        renderer = Renderer(scene, poses, server)
+        server = FrameServer(socket.socket(fileno=listen_fd), lambda: _send(poses, event="watched"))
+        renderer = Renderer(scene, poses, server, every)
         server.start()
         try:
             renderer.warm_up()
-            take_policy(scheduling)
             renderer.run()
         except ConnectionError:
             pass  # the plant was killed: its end of the socket went with it
@@ -157,26 +143,35 @@ if __name__ == "__main__":
 
 
 _END_TIMEOUT_S = 1.0
+_WATCHED_WITHIN_S = 5.0
 _REPORT_BYTES = 65536
 
 
 class CameraSender:
-    """A renderer process and the socket to it. ``statistics`` is its latest report."""
+    """A renderer process and the socket to it. ``statistics`` is its latest report.
 
-    def __init__(self, scene: SceneConfig, listener: socket.socket, scheduling: str) -> None:
+    ``every``: each picture is awaited by ``published``, PICTURE_NS after its capture.
+    """
+
+    def __init__(self, scene: SceneConfig, listener: socket.socket, every: bool = False) -> None:
         """Start the process; it takes over ``listener``, which is closed here."""
         self.statistics: dict[str, Any] = {}
         self.poses_dropped = 0
         self.frames_lost = 0
         self.ended = asyncio.Event()
         self._ready = asyncio.Event()
+        self._every = every
+        self._due_ns: deque[int] = deque()
+        self._published: asyncio.Queue[bool] = asyncio.Queue()
+        self._watched = asyncio.Event()
         self._frame_id = 0
         self._exposures = Exposures(scene.camera, scene.seed)
         self._poses, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._poses.setblocking(False)
         with listener, theirs:
             inherited, given = (listener.fileno(), theirs.fileno()), scene.model_dump_json().encode()
-            self._process = started("plant_emulator.shell.camera_sender", given, inherited, scheduling)
+            which = EVERY if every else "newest"
+            self._process = started("plant_emulator.shell.camera_sender", given, inherited, which)
         asyncio.get_running_loop().add_reader(self._poses.fileno(), self._report_arrived)
 
     @property
@@ -204,14 +199,30 @@ class CameraSender:
         """
         self._frame_id += 1
         shot = self._exposures.shot(Capture(self._frame_id, capture_ns, view, motion), faults)
-        if not shot.delivered:
+        if not shot.delivered:  # nothing is due
             self.frames_lost += 1
             return self._frame_id
         try:
-            self._poses.send(encode_shot(shot))
+            self._poses.send(pickle.dumps(shot))
         except OSError:
             self.poses_dropped += 1
+        else:
+            if self._every:
+                self._due_ns.append(capture_ns + PICTURE_NS)
         return self._frame_id
+
+    async def watched(self) -> None:
+        """Return once somebody has been served, after _WATCHED_WITHIN_S without anybody."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_WATCHED_WITHIN_S):
+                await self._watched.wait()
+
+    async def published(self, now_ns: int) -> bool:
+        """Whether a picture was published that is due by ``now_ns``, once it was rendered."""
+        if not self._due_ns or self._due_ns[0] > now_ns:
+            return False
+        self._due_ns.popleft()
+        return await self._published.get()
 
     async def stop(self) -> None:
         """End the renderer and wait for its last report."""
@@ -234,8 +245,16 @@ class CameraSender:
         if not data:
             asyncio.get_running_loop().remove_reader(self._poses.fileno())
             self.ended.set()
+            self._published.put_nowait(False)
             return
         report = json.loads(data)
-        if report.pop("event") == "ready":
+        event = report.pop("event")
+        if event == "picture":
+            self._published.put_nowait(report["published"])
+            return
+        if event == "watched":
+            self._watched.set()
+            return
+        if event == "ready":
             self._ready.set()
         self.statistics = report

@@ -1,4 +1,4 @@
-"""The plant's end of the fault API: starts its process, takes one order a step, tells it of every change."""
+"""The plant's end of the fault API: starts its process, and carries out one order after the other."""
 
 import asyncio
 import contextlib
@@ -10,22 +10,18 @@ from foundation.event_log import EventLog
 from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.fault_execution import carry_out, fault_state, true_points
+from plant_emulator.core.fault_execution import carry_out
 from plant_emulator.core.faults.schedule import (
     MOST_BYTES,
-    Injection,
     OrderMessage,
-    PlantMessage,
     RestartOrder,
 )
 from plant_emulator.core.plant import Plant
 from protocol.errors import LinkLost
 
-_TOLD_EVERY_NS = 50_000_000
-
 
 class FaultDesk:
-    """Between two steps of the plant at most one order is carried out, whatever the API is asked."""
+    """The API sends its next order when it has the answer to the last one."""
 
     def __init__(
         self,
@@ -47,15 +43,13 @@ class FaultDesk:
         self._restart = restart
         self._link, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setblocking(False)
-        self._told: tuple[tuple[Injection, ...], tuple[Injection, ...]] | None = None
-        self._told_ns = 0
 
-    def start(self, listener: socket.socket, scheduling: str) -> None:
+    def start(self, listener: socket.socket) -> None:
         """Start the process, which serves at ``listener``."""
         listener.listen()
         with listener, self._theirs as theirs:
             inherited, given = (listener.fileno(), theirs.fileno()), self._config.model_dump_json().encode()
-            self._process = started("plant_emulator.shell.fault_api", given, inherited, scheduling)
+            self._process = started("plant_emulator.shell.fault_api", given, inherited)
 
     @property
     def pid(self) -> int:
@@ -63,54 +57,41 @@ class FaultDesk:
         return self._process.pid
 
     async def wait_ready(self) -> None:
-        """Return when it serves. Raises LinkLost when it ended instead."""
-        if not await asyncio.get_running_loop().sock_recv(self._link, MOST_BYTES):
+        """Return when it serves; from then on orders are carried out. Raises LinkLost if it ended instead."""
+        loop = asyncio.get_running_loop()
+        if not await loop.sock_recv(self._link, MOST_BYTES):
             raise LinkLost("link.fault_api_ended", f"the fault API ended with status {self._process.wait()}")
+        loop.add_reader(self._link, self.serve)
 
     def close(self) -> None:
         """Close the connection to the process."""
+        if self._link.fileno() >= 0:
+            asyncio.get_running_loop().remove_reader(self._link)
         self._link.close()
         self._theirs.close()
 
-    def step(self) -> None:
-        """Carry out an order if one waits, and tell the state when it has changed or 50 ms have passed."""
-        if self._link.fileno() < 0:
-            return
-        faults = self._plant.faults
+    def serve(self) -> None:
+        """Carry out the order that has come, between two steps of the plant."""
         try:
             data = self._link.recv(MOST_BYTES)
-        except BlockingIOError:
-            now = (faults.active, faults.planned)
-            if now != self._told or self._plant.time_ns - self._told_ns >= _TOLD_EVERY_NS:
-                self._tell(PlantMessage(state=fault_state(self._plant)))
-            return
         except OSError:
             data = b""
-        if data:
-            message = OrderMessage.model_validate_json(data)
-            self._tell(carry_out(message, self._plant, self._scene.cover))
-            if isinstance(message.order, RestartOrder):
-                self._log.write("restart_asked")
-                self._restart()
-        else:
-            self._link.close()
-            self._log.write(
-                "fault_api_ended",
-                "error",
-                cause="link.fault_api_ended",
-                detail="by itself; the plant goes on",
-            )
+        if not data:
+            self.close()
+            why = {"cause": "link.fault_api_ended", "detail": "by itself; the plant goes on"}
+            self._log.write("fault_api_ended", "error", **why)
+            return
+        message = OrderMessage.model_validate_json(data)
+        truth = self._config.shows_truth
+        answer = carry_out(message, self._plant, self._scene.cover, shows_truth=truth)
+        with contextlib.suppress(OSError):  # an API that does not take it is not waited for
+            self._link.send(answer.model_dump_json().encode())
+        if isinstance(message.order, RestartOrder):
+            self._log.write("restart_asked")
+            self._restart()
 
     async def stop(self) -> None:
         """End the process."""
         self.close()
         if hasattr(self, "_process"):
             await asyncio.to_thread(ended, self._process)
-
-    def _tell(self, message: PlantMessage) -> None:
-        self._told = (self._plant.faults.active, self._plant.faults.planned)
-        self._told_ns = self._plant.time_ns
-        if self._config.shows_truth:
-            message = message.model_copy(update={"arm_points_m": true_points(self._plant)})
-        with contextlib.suppress(OSError):  # an API that does not take it is not waited for
-            self._link.send(message.model_dump_json().encode())

@@ -4,6 +4,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,13 +19,17 @@ PLACES = 16
 
 
 class StereoFrame(NamedTuple):
-    """One rendered pair, (height, width) uint8 each, and its place in time."""
+    """One rendered pair, (height, width) uint8 each, and its place in time.
+
+    ``sent_ns``: when it was sent, None: at the moment, by this machine's monotonic clock.
+    """
 
     frame_id: int
     capture_ns: int
     exposure_us: int
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
+    sent_ns: int | None = None
 
 
 class _Client:
@@ -40,11 +45,12 @@ class _Client:
 class FrameServer:
     """Serves ``listener`` with one thread a client. ``publish`` never waits for a client.
 
-    There are PLACES; a newcomer takes that of a client that never took a frame, or took none for longest.
+    ``on_client`` is called, in a thread, when one more is served. There are PLACES; a newcomer takes that of
+    a client that never took a frame, or took none for longest.
     """
 
-    def __init__(self, listener: socket.socket) -> None:
-        self._listener = listener
+    def __init__(self, listener: socket.socket, on_client: Callable[[], None] = lambda: None) -> None:
+        self._listener, self._on_client = listener, on_client
         self._newest: StereoFrame | None = None
         self._published = 0
         self._closing = False
@@ -119,6 +125,7 @@ class FrameServer:
                 self._clients.add(client)
                 seen = self._published
             self._spawn(self._serve, client, seen)
+            self._on_client()
 
     def _serve(self, client: _Client, seen: int) -> None:
         with contextlib.suppress(OSError), client.sock:
@@ -155,7 +162,7 @@ def _send(client: socket.socket, frame: StereoFrame) -> None:
     header = FrameHeader(
         frame_id=frame.frame_id,
         capture_ns=frame.capture_ns,
-        send_ns=time.monotonic_ns(),
+        send_ns=time.monotonic_ns() if frame.sent_ns is None else frame.sent_ns,
         width=width,
         height=height,
         exposure_us=frame.exposure_us,

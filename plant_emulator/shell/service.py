@@ -4,19 +4,20 @@ import asyncio
 import functools
 import socket
 import time
-from contextlib import ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
+from foundation import clock
 from foundation.event_log import EventLog
-from foundation.incidents import note_scheduling
-from foundation.live.feed import LiveShow, Opened, open_show
+from foundation.live.feed import LiveFeed, open_show
 from foundation.live.wire import Spread, exposition
-from foundation.periods import Limit, Tally, take_fifo
+from foundation.periods import take_fifo
 from foundation.recording.beginning import recording_directory, session_entries
 from foundation.recording.messages import RecordingThread
+from foundation.recording.recorder import OpenSink
 from foundation.secret_source import bound_tcp
-from foundation.self_watch import SelfWatch, StatisticsFile, resident_mb
+from foundation.self_watch import DiskWatch, resident_mb
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from plant_emulator.config.service import Endpoint, PlantSideConfig
 from plant_emulator.core.camera.exposures import STILL, CameraView
@@ -27,19 +28,14 @@ from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.fault_desk import FaultDesk
-from plant_emulator.shell.integrator import Integrator, SlowCycle
 from plant_emulator.shell.plant_figures import FIGURES
 from plant_emulator.shell.scene_messages import drawing
+from plant_emulator.shell.ticker import Integrator, SlowCycle, Ticker, TickerBody, greatest_pace
 from plant_emulator.shell.truth_recorder import TruthRecorder
-from protocol.errors import ConfigurationError
 from protocol.process_image import ValveImage, acknowledge, encode_sensors
 
 _NAME = "plant_emulator"
 _ANSWERED_S = 0.2  # [D]
-_LIMITS = {
-    "periods": Limit(1.0, "of the arm's time stood still"),
-    "pictures": Limit(20.0, "of the pictures were not rendered"),
-}
 
 
 class PlantService:
@@ -48,31 +44,36 @@ class PlantService:
     def __init__(self, config: PlantSideConfig, options: ServiceOptions, log: EventLog) -> None:
         self._config = config
         self._record_dir = options.record_dir
-        self._statistics = StatisticsFile(options.statistics, _NAME, log, self._gathered)
         self._log = log
         service = config.service
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
         self._asked_to_end = asyncio.Event()
         self._faults = FaultDesk(self._plant, scene, service.fault_face, log, self._end_soon)
-        self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
+        self._period_ns = round(service.period_ms * 1e6)
+        self._integrator = Integrator(self._period_ns, lambda at_ns: self._step(self._period_ns, at_ns))
+        self._clock = clock.GivenClock() if clock.clock_address() else None
+        self._ticker: Ticker | None = None
+        if self._clock is not None:
+            clock.use(self._clock)
         release_ns = round(service.writer_release_ms * 1e6)
         self._coupler = Coupler(
             self._sensor_words,
             self._write,
             release_ns,
-            time.monotonic_ns,
-            lambda: self._plant.faults.of_kind(CouplerSilent) is not None,
+            clock.now_ns,
+            self._is_silent,
             log.write_repeated,
+            time.monotonic_ns,
         )
         self._captures = SlowCycle(round(1e9 / config.scene.camera.rate_hz))
         self._truths = SlowCycle(round(1e9 / service.truth_hz))
-        self._changes_told = 0
+        self._changes_logged = 0
         self._words: list[int] | None = None
         self._truth: PlantTruth | None = None
         self._status = -1
         self._recorder: TruthRecorder | None = None
-        self._show: LiveShow | None = None
+        self._show: LiveFeed | None = None
         self._camera: CameraSender | None = None
         self._scheduling = "normal"
         self._memory_at_start: dict[str, float] = {}
@@ -91,6 +92,7 @@ class PlantService:
             _bound(service.modbus, "modbus") as modbus,
             _bound(service.camera_stream, "camera_stream") as stream,
             _bound(service.fault_face, "fault_face") as face,
+            _bound_clock() as ticks,
             ExitStack() as shown,
         ):
             fifo = service.fifo_priority
@@ -101,25 +103,23 @@ class PlantService:
                 shown.callback(self._show.close)
             addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
             self._recorder = self._open_recording()
-            self._camera = CameraSender(self._config.scene, stream, service.renderer_scheduling)
-            self._faults.start(face, service.renderer_scheduling)
+            self._camera = CameraSender(self._config.scene, stream, ticks is not None)
+            self._faults.start(face)
             failed = False
             try:
                 self._warm_up()
                 children_ready = asyncio.gather(self._camera.wait_ready(), self._faults.wait_ready())
                 if await _first(children_ready, stop.wait()):
                     addresses["modbus"] = await self._coupler.start(modbus)
-                    self._integrator.start()
+                    await self._let_time_pass(ticks, addresses)
                     failed = await self._serve(self._camera, addresses, stop)
             finally:
                 await self._shut_down()
-        if self._memory_at_end:
-            self._statistics.write()
         if failed:
             why = {"cause": "link.renderer_ended", "detail": "the renderer ended by itself"}
-            self._log.write("stopped", "error", **why)
+            self._log.write("stopped", "error", statistics=self._gathered(), **why)
         else:
-            self._log.write("stopped", simulated_ns=self._plant.time_ns)
+            self._log.write("stopped", simulated_ns=self._plant.time_ns, statistics=self._gathered())
         return 1 if failed else 0
 
     def _end_soon(self) -> None:
@@ -130,18 +130,15 @@ class PlantService:
         self, camera: CameraSender, addresses: dict[str, tuple[str, int]], stop: asyncio.Event
     ) -> bool:
         """Serve; return whether the renderer ended by itself before ``stop``."""
-        fifo = self._config.service.fifo_priority
-        self._scheduling = take_fifo(fifo)
-        note_scheduling(_NAME, fifo, self._scheduling)
+        self._scheduling = take_fifo(self._config.service.fifo_priority)
         self._memory_at_start = self._memory()
         self._say_ready(addresses)
-        watch = SelfWatch(self._log, _LIMITS, self._work, self._record_dir)
-        beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
+        watch = DiskWatch(self._log, self._record_dir)
+        beside = asyncio.create_task(watch.keep_looking())
         try:
             return await _first(camera.ended.wait(), stop.wait())
         finally:
-            for task in beside:
-                task.cancel()
+            beside.cancel()
             self._memory_at_end = self._memory()
 
     def _warm_up(self) -> None:
@@ -150,8 +147,32 @@ class PlantService:
         self._plant.truth()
         self._sensor_words()
 
-    def _after_step(self, deadline_ns: int) -> None:
-        self._faults.step()
+    async def _let_time_pass(
+        self, bound: socket.socket | None, addresses: dict[str, tuple[str, int]]
+    ) -> None:
+        """By the wall, or as all parts answer that follow the plant's clock at ``bound``."""
+        if bound is None or self._clock is None or self._camera is None:
+            self._integrator.start()
+            return
+        addresses["clock"] = bound.getsockname()
+        camera = self._camera
+        body = TickerBody(camera.watched, self._tick, camera.published, self._asked_to_end.set)
+        self._ticker = Ticker(self._clock, self._period_ns, greatest_pace(), body, self._log)
+        await self._ticker.start(bound)
+
+    def _tick(self, passed_ns: int) -> None:
+        self._coupler.look_at_watchdog(clock.now_ns())
+        self._step(passed_ns, clock.now_ns())
+
+    def _is_silent(self) -> bool:
+        """Whether the coupler leaves a request unanswered; who follows the plant's clock is told so."""
+        silent = self._plant.faults.of_kind(CouplerSilent) is not None
+        if silent and self._ticker is not None:
+            self._ticker.leave_unanswered()
+        return silent
+
+    def _step(self, passed_ns: int, deadline_ns: int) -> None:
+        self._plant.advance(passed_ns)
         self._words = None
         self._tell_status()
         self._tell_faults(deadline_ns)
@@ -169,16 +190,6 @@ class PlantService:
                 self._recorder.capture(truth, deadline_ns, frame_id, self._plant.links(), motion)
         elif record and self._recorder is not None:
             self._recorder.truth(truth, deadline_ns, self._plant.links())
-        self._tell_recording()
-
-    def _tell_recording(self) -> None:
-        """Say once that the truth is no longer recorded; the arm goes on."""
-        recorder = self._recorder
-        if recorder is not None and recorder.failure:
-            self._recorder = None
-            recorder.close()
-            why = {"cause": "recording.unwritable", "detail": f"{recorder.path}: {recorder.failure}"}
-            self._log.write("recording_failed", "error", **why)
 
     def _write(self, image: ValveImage) -> None:
         self._plant.write(image)
@@ -200,16 +211,16 @@ class PlantService:
         self._log.write("status", status=status)
         if self._recorder is not None:
             fields = {"event": "status", "status": status}
-            self._recorder.event(fields, time.monotonic_ns(), self._plant.time_ns)
+            self._recorder.event(fields, clock.now_ns(), self._plant.time_ns)
 
     def _tell_faults(self, log_ns: int) -> None:
         changes = self._plant.faults.changes
-        for change in changes[self._changes_told :]:
+        for change in changes[self._changes_logged :]:
             fields = change.as_dict()
             self._log.write("fault", simulated_ns=fields.pop("time_ns"), **fields)
             if self._recorder is not None:
                 self._recorder.fault(change, log_ns)
-        self._changes_told = len(changes)
+        self._changes_logged = len(changes)
 
     def _open_recording(self) -> TruthRecorder | None:
         directory, show = recording_directory(self._record_dir), self._show
@@ -220,18 +231,15 @@ class PlantService:
             "scene": self._config.scene.model_dump(mode="json"),
             "plant_service": self._config.service.model_dump(mode="json"),
         }
-        drawn = drawing(self._config.scene, self._plant.chain, time.monotonic_ns())
-        try:
-            fifo = self._config.service.fifo_priority
-            made: Opened = functools.partial(RecordingThread, fifo_priority=fifo)
-            if show is not None:
-                made = show.feed.opened(directory is not None, fifo)
-            path = (directory or Path()) / "truth.mcap"
-            return TruthRecorder(path, run, drawn, session_entries(_NAME), made)
-        except OSError as error:
-            raise ConfigurationError(
-                "configuration.recording", f"--record-dir {directory}: truth.mcap: {error.strerror}"
-            ) from error
+        drawn = drawing(self._config.scene, self._plant.chain, clock.now_ns())
+        fifo = self._config.service.fifo_priority
+        made: OpenSink = functools.partial(RecordingThread, fifo_priority=fifo)
+        if show is not None:
+            made = show.opened(directory is not None, fifo)
+        path = (directory or Path()) / "truth.mcap"
+        recorder = TruthRecorder(path, run, drawn, session_entries(_NAME), made)
+        recorder.tell_failure(self._log.write)
+        return recorder
 
     def _say_ready(self, addresses: dict[str, tuple[str, int]]) -> None:
         say_ready(
@@ -240,7 +248,6 @@ class PlantService:
             faults_allowed=self._config.service.fault_face.allowed,
             period_ms=self._config.service.period_ms,
             scheduling=self._scheduling,
-            renderer_scheduling=self._config.service.renderer_scheduling,
             recording=None if self._record_dir is None else str(self._record_dir / "truth.mcap"),
             live=None if self._show is None else self._show.address,
         )
@@ -252,14 +259,6 @@ class PlantService:
             "renderer_rss_mb": resident_mb(self._camera.pid),
             "fault_api_rss_mb": resident_mb(self._faults.pid),
         }
-
-    def _work(self) -> dict[str, Tally]:
-        assert self._camera is not None
-        work = {"periods": Tally(self._integrator.lateness.count, self._integrator.missed)}
-        pictures = self._camera.statistics
-        if "frames_rendered" in pictures:
-            work["pictures"] = Tally(pictures["frames_rendered"], pictures["frames_skipped"])
-        return work
 
     def _metrics_text(self) -> str:
         """Its text for Prometheus; asked for by the thread that feeds the live face."""
@@ -279,9 +278,9 @@ class PlantService:
             "simulated_s": self._plant.time_ns / 1e9,
             "coupler": self._coupler.statistics.as_dict(),
             "camera": self._camera.statistics | camera,
-            "truth_records": 0 if self._recorder is None else self._recorder.written,
-            "truths_dropped": 0 if self._recorder is None else self._recorder.dropped,
-            "live_dropped": 0 if self._show is None else self._show.feed.dropped,
+            "truth_records": 0 if self._recorder is None else self._recorder.sink.written,
+            "truths_dropped": 0 if self._recorder is None else self._recorder.sink.dropped,
+            "live_dropped": 0 if self._show is None else self._show.dropped,
             "scheduling": self._scheduling,
             "memory_at_start": self._memory_at_start,
             "memory_at_end": self._memory_at_end or self._memory(),
@@ -289,10 +288,12 @@ class PlantService:
 
     async def _shut_down(self) -> None:
         self._integrator.stop()
+        if self._ticker is not None:
+            await self._ticker.stop()
         await self._coupler.stop()
         ending = [self._faults.stop()] + ([] if self._camera is None else [self._camera.stop()])
         await asyncio.gather(*ending)
-        self._tell_faults(time.monotonic_ns())
+        self._tell_faults(clock.now_ns())
         if self._recorder is not None:
             self._recorder.close()
 
@@ -309,6 +310,12 @@ async def _first(wanted: Any, other: Any) -> bool:
         for task in (first, second):
             task.cancel()
         await asyncio.gather(first, second, return_exceptions=True)
+
+
+def _bound_clock() -> AbstractContextManager[socket.socket | None]:
+    """The socket that the parts follow at, None where every part runs by the wall."""
+    where = clock.clock_address()
+    return nullcontext() if where is None else bound_tcp(*where, clock.CLOCK)
 
 
 def _bound(endpoint: Endpoint, name: str) -> socket.socket:

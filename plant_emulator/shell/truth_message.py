@@ -57,11 +57,6 @@ def _fields() -> Iterator[MessageField]:
     yield from map(MessageField, MOTION)
 
 
-def columns_of(name: str) -> tuple[str, ...]:
-    """The fields of the message that hold field ``name`` of the truth."""
-    return _COLUMNS.get(name) or (_SCALARS.get(name, name),)
-
-
 TruthMessage = message_class("PlantTruth", list(_fields()))
 _FLAT = tuple(column for columns in _COLUMNS.values() for column in columns)
 _flat_of = attrgetter(*_FLAT)

@@ -1,7 +1,7 @@
 """The plant's recorder: its topics, what they hold, and what is never dropped."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,18 +12,18 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from numpy.typing import NDArray
 
-from foundation.recording.mcap_file import Entries, Topic
+from foundation.recording.mcap_file import Topic
 from foundation.recording.messages import (
     EventMessage,
     MessageField,
     RecordingThread,
-    RecordSink,
     event_bytes,
     format_of,
     log_line,
     message_class,
     transforms,
 )
+from foundation.recording.recorder import OpenSink, ServiceRecorder
 from plant_emulator.core.camera.exposures import CameraMotion
 from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
@@ -99,10 +99,9 @@ TOPICS = (
     Topic(CAMERA, format_of(CameraCalibration), bytes, once=True),
     Topic(LOG, format_of(Log), _log_bytes),
 )
-_NUMBERS = {topic.name: number for number, topic in enumerate(TOPICS)}
 
 
-class TruthRecorder:
+class TruthRecorder(ServiceRecorder):
     """Records the truth. Nothing is encoded or written before a call returns, see ``RecordingThread``.
 
     Everything is on its way to the disk within half a second. Faults, events and the drawing are never
@@ -115,36 +114,15 @@ class TruthRecorder:
         run: Mapping[str, Any],
         drawn: SceneDrawing | None = None,
         session: Mapping[str, str] | None = None,
-        made: Callable[[Path, Sequence[Topic], Entries], RecordSink] = RecordingThread,
+        made: OpenSink = RecordingThread,
     ) -> None:
-        """Create ``path``; ``run`` and ``session`` go into the metadata. Raises OSError when it cannot be
-        written.
+        """Create ``path``; ``run`` and ``session`` go into the metadata. Raises ConfigurationError when it
+        cannot be written.
         """
+        super().__init__(path, TOPICS, run, session or {}, made)
         self._links = () if drawn is None else drawn.links
         self._holes_O = None if drawn is None else drawn.holes_O
-        entries = {"run": {"configuration": _json(run)}, "session": dict(session or {})}
-        self._to = made(path, TOPICS, entries)
         self._drawn = drawn
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._to.path
-
-    @property
-    def failure(self) -> str:
-        """Why nothing more can be written, such as a full disk; empty while all is well."""
-        return self._to.failure
-
-    @property
-    def written(self) -> int:
-        """How many messages were written."""
-        return self._to.written
-
-    @property
-    def dropped(self) -> int:
-        """How many messages were dropped because the disk did not keep up."""
-        return self._to.dropped
 
     def truth(self, truth: PlantTruth, log_ns: int, X_WL: NDArray[np.float64] | None = None) -> None:
         """Record the truth at ``log_ns``, and where the drawing's links then are: ``X_WL`` (n, 4, 4)."""
@@ -167,27 +145,23 @@ class TruthRecorder:
     def fault(self, change: FaultChange, log_ns: int) -> None:
         """Record that a fault was planned, began, ended or was withdrawn."""
         said = change.as_dict()
-        self._to.put(_NUMBERS[FAULT], said, log_ns, change.time_ns, wanted=True)
+        self.put(FAULT, said, log_ns, change.time_ns, wanted=True)
         line = (log_ns, "warning", f"fault {said['number']} {said['phase']}: {said['name']}")
-        self._to.put(_NUMBERS[LOG], line, log_ns, change.time_ns, wanted=True)
+        self.put(LOG, line, log_ns, change.time_ns, wanted=True)
 
     def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:
         """Record that something happened: ``event`` and what belongs to it."""
-        self._to.put(_NUMBERS[EVENT], dict(fields), log_ns, time_ns, wanted=True)
+        self.put(EVENT, dict(fields), log_ns, time_ns, wanted=True)
         line = (log_ns, "info", ", ".join(f"{name} {value}" for name, value in fields.items()))
-        self._to.put(_NUMBERS[LOG], line, log_ns, time_ns, wanted=True)
-
-    def close(self) -> None:
-        """Write what waits and the summary, and close the file. What can no longer be written is left out."""
-        self._to.close()
+        self.put(LOG, line, log_ns, time_ns, wanted=True)
 
     def _put(self, topic: str, record: TruthRecord, X_WL: NDArray[np.float64] | None) -> None:
         log_ns, time_ns = record.log_ns, record.truth.time_ns
         if self._drawn is not None:
-            self._to.put(_NUMBERS[SCENE], self._drawn.scene, log_ns, time_ns, wanted=True)
-            self._to.put(_NUMBERS[CAMERA], self._drawn.camera, log_ns, time_ns, wanted=True)
+            self.put(SCENE, self._drawn.scene, log_ns, time_ns, wanted=True)
+            self.put(CAMERA, self._drawn.camera, log_ns, time_ns, wanted=True)
             self._drawn = None
-        self._to.put(_NUMBERS[topic], record, log_ns, time_ns)
+        self.put(topic, record, log_ns, time_ns)
         if X_WL is not None:
             posed = _Posed(log_ns, record.truth, self._links, X_WL)
-            self._to.put(_NUMBERS[FRAMES], posed, log_ns, time_ns)
+            self.put(FRAMES, posed, log_ns, time_ns)

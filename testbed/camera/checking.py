@@ -1,6 +1,5 @@
 """Whether a stereo camera is as its file says, and whether a board is the one that was asked for."""
 
-import contextlib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,18 +8,18 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.camera.pairs import AskedBoard, Taken, found_board, take
-from testbed.reporting.console import bars, out, table, write_json
+from protocol.errors import RequestRefused
+from testbed.camera.pairs import Taken, boards_in, take
+from testbed.reporting.console import out, table, write_json
 from vision_pc.config.camera import PinholePair
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception import intrinsics, look, pair_check
-from vision_pc.core.perception.board_finder import second_finders
+from vision_pc.core.perception.april_grid import Board
 from vision_pc.core.perception.pair_check import PictureReport, RowReport, board_offset
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
 from vision_pc.core.perception.stereo_fit import PairView
-from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
+from vision_pc.core.perception.zhang_intrinsics import Checkerboard
 from vision_pc.core.types import FrameObservation, Image, PointPairs, StereoOffset, StereoPair
 
 _LOOKED_AT = 5
@@ -41,13 +40,13 @@ def counts_shown(pictures: Sequence[Image]) -> tuple[int, int] | None:
     return most[0][0] if most and 2 * most[0][1] > seen.total() else None
 
 
-def question(pictures: Sequence[Image], board: Checkerboard | Charuco, found: int) -> None:
+def question(pictures: Sequence[Image], board: Board, found: int) -> None:
     """Say what is doubtful about ``board``, of which ``found`` pictures show one.
 
     Raises RequestRefused (``refused.board.counts``) where another one is there, and none is found, or
     ``board`` is but a part of it: it may be another part in every picture.
     """
-    if isinstance(board, Charuco):
+    if not isinstance(board, Checkerboard):
         return
     asked = (max(board.columns, board.rows), min(board.columns, board.rows))
     shown = counts_shown(pictures)
@@ -88,7 +87,7 @@ class CameraFinding(NamedTuple):
 
 
 def run_check(
-    source: str, config: VisionConfig, most: int, board: AskedBoard | None, json_file: Path | None
+    source: str, config: VisionConfig, most: int, board: Board | None, json_file: Path | None
 ) -> bool:
     """Print every finding. Returns whether all are good. Raises LongreachError where nothing can be looked
     at.
@@ -101,11 +100,11 @@ def run_check(
             refuse_size(
                 picture, size, f"{source}: set vision.camera.width_px and height_px, or the camera's mode"
             )
-    told = camera.calibration
-    raw = isinstance(told, StereoCalibration)
-    rectify = Rectifier(told) if isinstance(told, StereoCalibration) else None
+    known = camera.calibration
+    raw = isinstance(known, StereoCalibration)
+    rectify = Rectifier(known) if isinstance(known, StereoCalibration) else None
     rectified = [rectify(pair) for pair in taken.pairs] if rectify else taken.pairs
-    views = [] if board is None else boards_in(rectified, board)
+    views = [] if board is None else boards_in(taken._replace(pairs=rectified), board)[0]
     if board is not None and not views:
         question([pair.left for pair in rectified], board, 0)
     rows = pair_check.rows_of(
@@ -124,7 +123,7 @@ def run_check(
             for f in picture_findings(eye, [p[k] for p in taken.pairs])
         ),
     ]
-    how = f"rectified by {told.source}" if isinstance(told, StereoCalibration) else "taken for rectified"
+    how = f"rectified by {known.source}" if isinstance(known, StereoCalibration) else "taken for rectified"
     _show(f"{source}: {len(taken.pairs)} pairs, {how}", found, rows)
     good = all(f.good for f in found)
     write_json(json_file, figures(found, rows, good))
@@ -211,19 +210,6 @@ def row_findings(rows: RowReport | None, raw: bool) -> list[CameraFinding]:
         CameraFinding("rows off, by place", f"{worst:.2f} px from the median", f"at most {_CELL_PX:g} px",
                 worst <= _CELL_PX, again),
     ]  # fmt: skip
-
-
-def boards_in(pairs: Sequence[StereoPair], board: AskedBoard) -> list[PairView]:
-    """The board's corners in the pairs where both eyes see it: exact points, of which none is mistaken."""
-    views = []
-    with bars() as shown, shown.step("looking for the board") as bar:
-        for k, pair in enumerate(pairs):
-            with contextlib.suppress(MeasurementFailed):
-                views.append(found_board(pair, board, str(k)))
-            bar.update((k + 1) / len(pairs), f"{len(views)} boards in both eyes")
-    for line in second_finders(views):
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
-    return views
 
 
 def offset_of(

@@ -4,32 +4,41 @@ import asyncio
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
 
+from foundation.foreign_text import read_each
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.config.surroundings import AnyBoardConfig, CharucoConfig, CheckerboardConfig
-from plant_emulator.core.camera.cabinet import board_pose
+from plant_emulator.core.camera.boards import board_pose
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
-from protocol.errors import ConfigurationError, LinkLost
+from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
 from testbed.reporting.console import bars, out, promised
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
-from vision_pc.core.perception.board_finder import find_board
+from vision_pc.core.perception.april_grid import AprilGrid, Board
+from vision_pc.core.perception.board_finder import find_board, second_finders
 from vision_pc.core.perception.stereo_fit import PairView
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.cameras.directory import TABLE, PairRecorder, read_grey, recorded_pairs
+from vision_pc.shell.cameras.directory import (
+    TABLE,
+    PairRecorder,
+    RecordedPair,
+    recorded,
+    recorded_pair,
+)
 from vision_pc.shell.cameras.picture_files import matched_pictures, pictures_in
 from vision_pc.shell.cameras.uvc import halves
 
 LIVE = "live"
+Item = TypeVar("Item")
 
 
 class Taken(NamedTuple):
@@ -54,7 +63,7 @@ def take(source: str, settings: CameraSettings, most: int) -> Taken:
         return Taken([f"frame {pair.frame_id}" for pair in pairs], pairs, True)
     path = Path(source)
     if (path / TABLE).is_file():
-        pairs = _spread(list(recorded_pairs(path)), most)
+        pairs = _readable(path, recorded(path), most)
         return Taken([f"frame {pair.frame_id}" for pair in pairs], pairs, True)
     if path.is_dir():
         return _pictures(path, most)
@@ -64,11 +73,19 @@ def take(source: str, settings: CameraSettings, most: int) -> Taken:
     return Taken([f"picture {pair.frame_id}" for pair in pairs], pairs, False)
 
 
-def _spread(pairs: list[StereoPair], most: int) -> list[StereoPair]:
+def _spread(items: list[Item], most: int) -> list[Item]:
     """At most ``most`` of them, evenly over all."""
-    if len(pairs) <= most:
-        return pairs
-    return [pairs[k] for k in np.linspace(0, len(pairs) - 1, most).round().astype(int)]
+    return [items[k] for k in np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int)]
+
+
+def _readable(directory: Path, entries: list[RecordedPair], most: int) -> list[StereoPair]:
+    """At most ``most`` pairs of pictures; those that cannot be read are named. Raises ConfigurationError
+    where none can.
+    """
+    read, notes = read_each(_spread(entries, most), recorded_pair)
+    for note in notes:
+        out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
+    return [pair for _, pair in read]
 
 
 def _pictures(directory: Path, most: int) -> Taken:
@@ -88,9 +105,8 @@ def _pictures(directory: Path, most: int) -> Taken:
     files, notes = matched_pictures(left, right)
     for note in notes:
         out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
-    chosen = [files[k] for k in np.linspace(0, len(files) - 1, min(most, len(files))).round().astype(int)]
-    pairs = [StereoPair(read_grey(left[i]), read_grey(right[j]), 0, i) for i, j in chosen]
-    return Taken([left[i].name for i, _ in chosen], pairs, False)
+    pairs = _readable(directory, [RecordedPair(i, 0, left[i], right[j]) for i, j in files], most)
+    return Taken([left[pair.frame_id].name for pair in pairs], pairs, False)
 
 
 def _film(path: Path, most: int) -> list[StereoPair]:
@@ -129,15 +145,21 @@ async def _live(settings: CameraSettings, most: int) -> list[StereoPair]:
     return found
 
 
-AskedBoard = Checkerboard | Charuco
-
-
-def found_board(pair: StereoPair, board: AskedBoard, name: str) -> PairView:
-    """The corners of ``board`` that both eyes see. Raises MeasurementFailed when one of them does not see
-    it.
-    """
-    views = [find_board(picture, board, name) for picture in (pair.left, pair.right)]
-    return stereo_fit.paired(views[0], views[1])
+def boards_in(taken: Taken, board: Board) -> tuple[list[PairView], list[str]]:
+    """The boards that both eyes see, whose corners are exact points, and the names of pairs without one."""
+    views: list[PairView] = []
+    missed: list[str] = []
+    with bars() as shown, shown.step("looking for the board") as bar:
+        for k, (name, pair) in enumerate(zip(taken.names, taken.pairs, strict=True)):
+            try:
+                left, right = (find_board(picture, board, name) for picture in (pair.left, pair.right))
+                views.append(stereo_fit.paired(left, right))
+            except MeasurementFailed:
+                missed.append(name)
+            bar.update((k + 1) / len(taken.pairs), f"{len(views)} boards in both eyes")
+    for line in second_finders(views):
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    return views, missed
 
 
 _PERIOD_NS = 100_000_000
@@ -149,23 +171,26 @@ _ASIDE_M = ((0.15, 0.22), (-0.08, 0.08))  # to the right of the object: the tool
 _TURNED_DEG = 4.0
 
 
-def board_pairs(scene: SceneConfig, board: AskedBoard, count: int, seed: int) -> list[StereoPair]:
+def board_pairs(scene: SceneConfig, board: Checkerboard | Charuco, count: int, seed: int) -> list[StereoPair]:
     """``count`` pairs of ``board``, whole in both eyes of the scene's camera, in places and tilts drawn by
     ``seed``.
     """
-    config = scene.model_copy(
-        update={"boards": (_config(board),), "obstacles": (), "rebar": (), "passers": ()}
-    )
+    config = scene.model_copy(update={"boards": (_config(board),), "passers": ()})
     eyes = StereoCamera(config.camera, Scene(config), seed)
     rng = np.random.default_rng([seed, 0x626F61])
     X_WP = eyes.scene.mounts.X_WO @ board_pose(config.boards[0])
+    places = [X_WP @ se3.inverse(_view(eyes, board, X_WP, rng)) for _ in range(count)]
+    return _rendered(eyes, [(X_WC, X_WC @ _BEHIND) for X_WC in places], "rendering boards")
+
+
+def _rendered(eyes: StereoCamera, places: list[tuple[Array, Array]], what: str) -> list[StereoPair]:
+    """A pair from each place of camera and tool marker (X_WC, X_WM)."""
     pairs: list[StereoPair] = []
-    with bars() as shown, shown.step("rendering boards") as bar:
-        for k in range(count):
-            X_WC = X_WP @ se3.inverse(_view(eyes, board, X_WP, rng))
-            left, right = eyes.render(X_WC, X_WC @ _BEHIND, k + 1)
-            pairs.append(StereoPair(left, right, (k + 1) * _PERIOD_NS, k + 1))
-            bar.update((k + 1) / count)
+    with bars() as shown, shown.step(what) as bar:
+        for k, (X_WC, X_WM) in enumerate(places, 1):
+            left, right = eyes.render(X_WC, X_WM, k)
+            pairs.append(StereoPair(left, right, k * _PERIOD_NS, k))
+            bar.update(k / len(places))
     return pairs
 
 
@@ -179,16 +204,10 @@ def marker_pairs(scene: SceneConfig, count: int, seed: int) -> list[StereoPair]:
     place = [rng.uniform(*between) for between in (*_ASIDE_M, _AWAY_M)]
     X_WC = mounts.X_WO @ se3.transform(np.diag([1.0, -1.0, -1.0]) @ turn, place)
     X_WM = X_WC @ se3.inverse(mounts.X_TC) @ mounts.X_TM
-    pairs: list[StereoPair] = []
-    with bars() as shown, shown.step("rendering markers") as bar:
-        for k in range(count):
-            left, right = eyes.render(X_WC, X_WM, k + 1)
-            pairs.append(StereoPair(left, right, (k + 1) * _PERIOD_NS, k + 1))
-            bar.update((k + 1) / count)
-    return pairs
+    return _rendered(eyes, [(X_WC, X_WM)] * count, "rendering markers")
 
 
-def _view(eyes: StereoCamera, board: AskedBoard, X_WP: Array, rng: np.random.Generator) -> Array:
+def _view(eyes: StereoCamera, board: Checkerboard | Charuco, X_WP: Array, rng: np.random.Generator) -> Array:
     """X_CP (4, 4), the board's middle before the camera, with all of it in both pictures."""
     camera = eyes.config
     extent = np.array([board.columns + 2, board.rows + 2]) * board.square_m
@@ -208,7 +227,7 @@ def _view(eyes: StereoCamera, board: AskedBoard, X_WP: Array, rng: np.random.Gen
     raise ConfigurationError("configuration.bad_board", "the board does not fit into both pictures")
 
 
-def _config(board: AskedBoard) -> AnyBoardConfig:
+def _config(board: Checkerboard | Charuco) -> AnyBoardConfig:
     where = {
         "position_m": (0.0, 0.0, 0.05),
         "columns": board.columns,
@@ -226,10 +245,12 @@ def _config(board: AskedBoard) -> AnyBoardConfig:
     return CharucoConfig.model_validate({"kind": "charuco", **where, **marker})
 
 
-def run_emulate(scene: SceneConfig, board: AskedBoard | None, count: int, seed: int, to: Path) -> None:
+def run_emulate(scene: SceneConfig, board: Board | None, count: int, seed: int, to: Path) -> None:
     """Write pairs of ``board``, or of the markers where it is None, to ``to``: a film where it ends in .avi,
     else a recording's directory.
     """
+    if isinstance(board, AprilGrid):
+        raise ConfigurationError("configuration.bad_board", "an AprilGrid is not emulated")
     pairs = marker_pairs(scene, count, seed) if board is None else board_pairs(scene, board, count, seed)
     if to.suffix.lower() == ".avi":
         write_whole_film(pairs, promised(to))

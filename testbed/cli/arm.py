@@ -12,10 +12,9 @@ from testbed.cli.root import CommandApp
 from testbed.reporting.console import out, promised, table, writable, write_json
 
 if TYPE_CHECKING:
-    from testbed.arms import ArmFinding
+    from testbed.reporting.checks import HealthCheck
 
 app = CommandApp(help="Arms: which there are, whether one is right, one of your own.", no_args_is_help=True)
-_STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
 DEFAULT_ARM = "default"
 Chosen = Annotated[str, typer.Argument(metavar="[NAME|DIR]", help="Of CONFIG_DIR/arms, or a directory.")]
 
@@ -27,20 +26,23 @@ def arm() -> None:
 
 @app.command("list", epilog="Example: longreach arm list")
 def list_arms(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
-    """The arms that --arm takes by name: what each is, and its reach."""
+    """The arms that --arm takes by name: what each is, and its reach; of one that cannot be read, why."""
+    from foundation.foreign_text import read_each
     from nominal_arm.dimensions import boom_dimensions
     from testbed.scenarios.arms import arm_directory, arm_names
     from testbed.scenarios.scenario import load_settings
 
-    rows = []
-    for name in arm_names(config_dir):
-        described = load_settings(arm_directory(config_dir, name), {}).arm
-        boom = boom_dimensions(described)
-        rows.append((name, described.name, boom.boom + boom.forearm + boom.wrist_to_tool))
+    found, broken = read_each(
+        arm_names(config_dir), lambda name: load_settings(arm_directory(config_dir, name), {}).arm
+    )
+    booms = [(name, arm.name, boom_dimensions(arm)) for name, arm in found]
+    rows = [(name, what, boom.boom + boom.forearm + boom.wrist_to_tool) for name, what, boom in booms]
     cells = [(name, what, f"{reach:.2f}") for name, what, reach in rows]
     out.print(table("arms", ("--arm", "arm.yaml's name", "lift pivot to tool, m"), cells))
+    for line in broken:
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
     keys = ("arm", "name", "reach_m")
-    write_json(json_file, {"arms": [dict(zip(keys, row, strict=True)) for row in rows]})
+    write_json(json_file, {"arms": [dict(zip(keys, row, strict=True)) for row in rows], "broken": broken})
 
 
 @app.command("check", epilog="Example: longreach arm check long_crane")
@@ -48,20 +50,19 @@ def check(
     chosen: Chosen = DEFAULT_ARM, config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
 ) -> None:
     """Whether drawing, machine, controller and scene agree, a line each; exit status 1 when one does not."""
-    from rich.text import Text
-
+    from testbed.reporting.checks import checks_table
     from testbed.scenarios.arms import arm_directory
 
     findings = list(_findings(arm_directory(config_dir, chosen)))
-    cells = [(f.name, Text(f.verdict, _STYLES[f.verdict]), f.found, f.advice) for f in findings]
-    out.print(table(f"arm {chosen}", ("what", "verdict", "found", "advice"), cells))
+    out.print(checks_table(f"arm {chosen}", findings))
     write_json(json_file, {"arm": chosen, "findings": [finding._asdict() for finding in findings]})
     raise typer.Exit(1 if any(finding.verdict == "failed" for finding in findings) else 0)
 
 
-def _findings(directory: Path) -> "Iterator[ArmFinding]":
+def _findings(directory: Path) -> "Iterator[HealthCheck]":
     """Each file that cannot be read, or what the files say of each other."""
-    from testbed.arms import ArmFinding, check_arm
+    from testbed.arms import check_arm
+    from testbed.reporting.checks import HealthCheck
     from testbed.scenarios.scenario import load_settings, loaders
 
     wrong = []
@@ -69,7 +70,7 @@ def _findings(directory: Path) -> "Iterator[ArmFinding]":
         try:
             load()
         except ConfigurationError as error:
-            wrong.append(ArmFinding(f"{name}.yaml", "failed", str(error), error.cause))
+            wrong.append(HealthCheck(f"{name}.yaml", "failed", str(error), error.cause))
     yield from wrong or check_arm(load_settings(directory, {}))
 
 
@@ -102,5 +103,5 @@ def draw(
     from testbed.scenarios.arms import arm_directory
     from testbed.scenarios.scenario import load_settings
 
-    draw_machine(load_settings(arm_directory(config_dir, chosen), {}), path, reach=True)
+    draw_machine(load_settings(arm_directory(config_dir, chosen), {}), path)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)

@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foundation.command_options import unfolded
-from protocol.errors import RequestRefused
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, PicturedBoard, Seed, Settings
 from testbed.cli.root import CommandApp
 from testbed.reporting.console import writable
 from vision_pc.config.choices import LensModel
 
 if TYPE_CHECKING:
-    from testbed.camera.pairs import AskedBoard
     from vision_pc.config.vision import VisionConfig
 
 app = CommandApp(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)
@@ -56,8 +54,9 @@ def check(
 ) -> None:
     """Rows, disparity, size, rate, stamps, sharpness and exposure; exit status 1 when something is bad."""
     from testbed.camera.checking import run_check
+    from testbed.cli.boards import asked_board
 
-    asked = _board_of(board) if with_board else None
+    asked = asked_board(board) if with_board else None
     raise typer.Exit(0 if run_check(source, _vision(config_dir, settings), pairs, asked, json_file) else 1)
 
 
@@ -77,8 +76,9 @@ def calibrate(
 ) -> None:
     """Calibrate raw pairs of one board, held everywhere in both pictures, tilted and at several distances."""
     from testbed.camera.calibrating import run_calibrate
+    from testbed.cli.boards import asked_board
 
-    asked, vision = _board_of(board), _vision(config_dir, settings)
+    asked, vision = asked_board(board), _vision(config_dir, settings)
     good = run_calibrate(source, vision.camera, asked, lens, pairs, to, json_file)
     raise typer.Exit(0 if good else 1)
 
@@ -112,33 +112,12 @@ def emulate(
 ) -> None:
     """Pairs of a board, or of the markers, as the emulator's raw camera takes them."""
     from testbed.camera.pairs import run_emulate
+    from testbed.cli.boards import asked_board
     from testbed.scenarios.scenario import chosen_overrides, load_settings
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    asked = None if markers else _board_of(board)
+    asked = None if markers else asked_board(board)
     run_emulate(load_settings(config_dir, overrides).scene, asked, pairs, seed, to)
-
-
-@app.command(epilog="Example: longreach camera serve --left 127.0.0.1 --right 127.0.0.2")
-def serve(
-    left: Annotated[str, typer.Option(help="Address of the left eye's camera, of an interface here.")],
-    right: Annotated[str, typer.Option(help="Address of the right eye's.")],
-    host: Annotated[
-        str, typer.Option(help="Whose pictures: the plant's, or any frame stream's.")
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65_535)] = 47_100,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-) -> None:
-    """Show an emulated pair as two GigE Vision cameras, triggered together, until Ctrl-C.
-
-    A camera answers at UDP port 3956 of its address, so each needs one of its own: as root, in a network
-    namespace, `ip addr add 127.0.0.2/8 dev lo`. Vision then has vision.camera.source=genicam.
-    """
-    from testbed.camera.gige_server import serve_gige
-
-    stream = [f"vision.camera.stream.host={host}", f"vision.camera.stream.port={port}"]
-    serve_gige(_vision(config_dir, [*(settings or []), *stream]).camera, left, right)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -148,18 +127,3 @@ def _size(text: str | None) -> tuple[int, int] | None:
     if not (width.isdigit() and height.isdigit()):
         raise typer.BadParameter(f"{text}: WIDTHxHEIGHT is wanted, such as 1280x720", param_hint="--size")
     return int(width), int(height)
-
-
-def _board_of(asked: PicturedBoard) -> "AskedBoard":
-    """The board that the command line describes. Raises RequestRefused for an unknown dictionary."""
-    import cv2
-
-    from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
-
-    square_m = 1e-3 * asked.square_mm
-    if not asked.charuco:
-        return Checkerboard(asked.columns, asked.rows, square_m)
-    dictionary = getattr(cv2.aruco, asked.dictionary, None)
-    if not asked.dictionary.startswith("DICT_") or not isinstance(dictionary, int):
-        raise RequestRefused("refused.camera.dictionary", f"OpenCV has no dictionary {asked.dictionary!r}")
-    return Charuco(asked.columns, asked.rows, square_m, 1e-3 * asked.marker_mm, dictionary)

@@ -12,15 +12,13 @@ import typer
 from conformance.command import app as conformance_app
 from foundation.command_options import shipped_configs, show_any_letter, unfolded
 from protocol.errors import ConfigurationError
+from testbed.choices import Timing
 from testbed.cli import (
     arm,
     camera,
-    config,
     export,
     hand_eye,
-    plc,
     recording,
-    runs,
     target,
     token,
 )
@@ -29,19 +27,16 @@ from testbed.cli.options import (
     DEFAULT_RUNS,
     ConfigDir,
     DemoOptions,
-    DemoTarget,
     Disturbed,
     JsonFile,
     OdometryOptions,
-    RunsDir,
     Scenario,
     Seed,
     Settings,
     StartOptions,
-    TriedElsewhere,
 )
 from testbed.cli.root import PANEL, CommandApp, RootGroup, show_version
-from testbed.reporting.console import promised, writable
+from testbed.reporting.console import promised
 
 app = CommandApp(
     name="longreach",
@@ -59,27 +54,6 @@ def longreach(
     ] = False,
 ) -> None:
     """Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command."""
-
-
-@app.command(rich_help_panel=PANEL["doctor"], epilog="Example: longreach doctor --json doctor.json")
-def doctor(
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    runs: RunsDir = DEFAULT_RUNS,
-    json_file: JsonFile = None,
-) -> None:
-    """Examine machine, ports and configuration; exit status 1 when something would not work."""
-    from testbed.cli.doctor import examine
-
-    raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
-
-
-@app.command(rich_help_panel=PANEL["programs"], epilog="Example: longreach programs --json programs.json")
-def programs(json_file: JsonFile = None) -> None:
-    """The programs that can be run and the disturbances that can be injected."""
-    from testbed.cli.doctor import list_programs
-
-    list_programs(json_file)
 
 
 @app.command(rich_help_panel=PANEL["init"], epilog="Example: longreach init   then: edit configs/vision.yaml")
@@ -112,12 +86,13 @@ def up(
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     world = with_face(overrides, start.allow_faults, start.show_truth)
-    run_up(config_dir, world, start.free_ports, start.runs, start.foxglove, start.controller)
+    timing = Timing(start.clock, start.pace)
+    run_up(config_dir, world, start.free_ports, start.runs, start.foxglove, start.controller, timing)
 
 
 @app.command(
     rich_help_panel=PANEL["replay"],
-    epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap --set vision.look.frames=5",
+    epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap",
 )
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording of the vision PC: vision.mcap.")],
@@ -128,26 +103,15 @@ def replay(
             "holds none."
         ),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="What if: replay with other settings of vision, and tell what moves."),
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="With --set: draw what moves to this file.", callback=writable)
-    ] = None,
-    decisions: Annotated[
-        bool, typer.Option("--decisions", help="Programs alone: no picture is measured in again.")
-    ] = False,
     json_file: JsonFile = None,
 ) -> None:
-    """Run vision's perception and programs again over a recording; exit status 1 unless all is as recorded.
+    """Run vision's perception again over a recording; exit status 1 unless all is as recorded.
 
-    Every measurement and every reference is compared; the first that differs is told with both values.
+    Every measurement is compared; the first that differs is told with both values.
     """
-    from testbed.recordings.command import ReplayRequest, run_replay
+    from testbed.recordings.command import run_replay
 
-    request = ReplayRequest(file, truth, settings or [], plot, json_file, decisions, ahead=True)
-    raise typer.Exit(0 if run_replay(request) else 1)
+    raise typer.Exit(0 if run_replay(file, truth, json_file) else 1)
 
 
 @app.command(
@@ -156,7 +120,6 @@ def replay(
 )
 @unfolded
 def commission(
-    elsewhere: TriedElsewhere,
     joints: Annotated[
         str, typer.Option(help="Which joints, by name, in this order.")
     ] = "slew,lift,tilt,wrist1,wrist2,wrist3",
@@ -170,12 +133,20 @@ def commission(
             help="Break this of the emulated arm at the start, such as valve_swapped,joint=tilt; repeatable.",
         ),
     ] = None,
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            help="Take what a controller with controller.excitation.enabled=true tried out by itself: its "
+            "--record-dir."
+        ),
+    ] = None,
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Try out the valves and write commissioned.yaml: emulated, in simulated time, or live with --records.
+    """Try out the emulated arm's valves, in simulated time, and write commissioned.yaml.
+
 
     Exit status 1 when a joint was broken off or its numbers are refused; what was found is kept.
     """
@@ -187,7 +158,7 @@ def commission(
     names = [name.strip() for name in joints.split(",")]
     broken = fault_orders(fault or [])
     machine = config_dir, overrides, names, directory, seed
-    request = CommissionRequest(*machine, json_file, elsewhere.records, broken, elsewhere.seen)
+    request = CommissionRequest(*machine, json_file, records, broken)
     raise typer.Exit(0 if run_commission(request) else 1)
 
 
@@ -208,26 +179,21 @@ def demo(
 ) -> None:
     """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
     from testbed.demonstration.runs import run_demo, run_lockstep_demo
-    from testbed.demonstration.sequence import HOLES
     from testbed.reporting.run_directory import Choice
     from testbed.scenarios.scenario import chosen_overrides, fault_orders, named_request, with_face
 
-    holes = chosen.target is DemoTarget.HOLE
     programs = tuple(named_request(word) for word in disturbed.program or [])
     faults = fault_orders(disturbed.fault or [])
-    if holes and scenario == "standard":
-        scenario = "drill_face"
     breaks = start.allow_faults or bool(faults)
     world = chosen_overrides(config_dir, scenario, seed, settings or [])
     overrides = with_face(world, breaks, start.show_truth)
-    looks = HOLES if holes else 1 if programs else chosen.looks
-    asked = scenario, seed, looks, holes, programs, faults
-    choice = Choice(*asked, chosen.method, start.controller)
+    asked = scenario, seed, 1 if programs else chosen.looks, programs, faults
+    choice = Choice(*asked, chosen.method, start.controller, Timing(start.clock, start.pace))
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:
-        held, live = chosen.hold, start.foxglove
-        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file, held, live)
+        live = start.foxglove
+        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file, live)
     raise typer.Exit(0 if passed else 1)
 
 
@@ -256,10 +222,14 @@ def odometry(
     Beside the trajectory a CSV has a line a pair: map, loss and its cause, health, covariance. What comes
     after a gap that nothing bridges has a trajectory of its own.
     """
-    from testbed.cli.perception import OdometryRequest, run_odometry
+    from foundation.configuration import load, parse_overrides
+    from testbed.cli.perception import run_odometry
+    from vision_pc.config.vision import VisionConfig
+    from vision_pc.shell.cameras.sequence import Recorded
 
-    request = OdometryRequest(config_dir, left, right, calib, options, settings or [])
-    raise typer.Exit(0 if run_odometry(request, json_file) else 1)
+    config = load(VisionConfig, config_dir / "vision.yaml", parse_overrides(settings or []).get("vision"))
+    recorded = Recorded(left, right, calib, options.rate_hz)
+    raise typer.Exit(0 if run_odometry(recorded, config, options, json_file) else 1)
 
 
 @app.command(
@@ -291,8 +261,8 @@ suites = CommandApp(help=conformance_app.info.help, no_args_is_help=True)
 for one in conformance_app.registered_commands:
     suites.command(one.name, epilog=one.epilog)(one.callback)
 GROUPS = {
-    "runs": runs.app, "recording": recording.app, "config": config.app, "arm": arm.app, "camera": camera.app,
-    "hand-eye": hand_eye.app, "conformance": suites, "plc": plc.app, "export": export.app,
+    "recording": recording.app, "arm": arm.app, "camera": camera.app,
+    "hand-eye": hand_eye.app, "conformance": suites, "export": export.app,
     "token": token.app,
 }  # fmt: skip
 for name, group in GROUPS.items():

@@ -1,13 +1,12 @@
 """Options that several commands of `longreach` share, worded once."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 
 from foundation.command_options import usual_configs
-from testbed.choices import ControllerKind, PoseForm
+from testbed.choices import ClockKind, ControllerKind, PoseForm
 from testbed.reporting.console import writable
 from vision_pc.config.choices import PositioningMethod, Setup
 
@@ -39,6 +38,9 @@ class PicturedBoard(NamedTuple):
     charuco: Annotated[bool, typer.Option("--charuco", help="The board is a ChArUco board.")] = False
     marker_mm: Annotated[float, typer.Option(min=0.1, help="Side of a ChArUco board's marker.")] = 18.0
     dictionary: Annotated[str, typer.Option(help="Its dictionary, as OpenCV names it.")] = "DICT_5X5_100"
+    target: Annotated[
+        Path | None, typer.Option(help="Kalibr's file of an AprilGrid, which is the board instead.")
+    ] = None
 
 
 class PoseLines(NamedTuple):
@@ -91,6 +93,17 @@ class StartOptions(NamedTuple):
     controller: Annotated[
         ControllerKind, typer.Option(help="In Python, or in structured text, compiled: plc/*.st.")
     ] = ControllerKind.PYTHON
+    clock: Annotated[
+        ClockKind | None,
+        typer.Option(
+            help="plant: a slow machine is slow, and nothing comes late; wall: in real time. By default the "
+            "plant's, where no part is somebody else's."
+        ),
+    ] = None
+    pace: Annotated[
+        float,
+        typer.Option(min=0.0, help="The most times real time, by the plant's clock; 0: as fast as it can."),
+    ] = 1.0
     foxglove: Annotated[
         int | None,
         typer.Option(
@@ -102,33 +115,19 @@ class StartOptions(NamedTuple):
     ] = None
 
 
-class DemoTarget(StrEnum):
-    """What the demonstration drives to."""
-
-    OBJECT = "object"
-    HOLE = "hole"
-
-
 class DemoOptions(NamedTuple):
     """How the demonstration runs, and how far."""
 
     lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulated time, without sockets.")] = False
-    hold: Annotated[
-        bool, typer.Option("--hold", help="At the end leave all running, with the console, until Ctrl-C.")
-    ] = False
     method: Annotated[
         PositioningMethod,
         typer.Option(help="corrected by odometry on the way, or the paper's, by trajectory matching."),
     ] = PositioningMethod.CORRECTED
     looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 1
-    target: Annotated[
-        DemoTarget,
-        typer.Option(help="hole: three drill holes in order, no marker on the wall (scenario drill_face)."),
-    ] = DemoTarget.OBJECT
 
 
 class Disturbed(NamedTuple):
-    """What is run and broken; `longreach programs` lists both."""
+    """What is run and broken: the REST API's programs, docs/faults.md."""
 
     program: Annotated[
         list[str] | None,
@@ -148,22 +147,6 @@ class Disturbed(NamedTuple):
     ] = None
 
 
-class TriedElsewhere(NamedTuple):
-    """What a running machine says of valves that were, or are to be, tried out there."""
-
-    records: Annotated[
-        Path | None,
-        typer.Option(
-            help="Of a running controller with controller.excitation.enabled=true: its --record-dir. It "
-            "is asked over its own link (controller.reference_link), unless all joints are finished there.",
-        ),
-    ] = None
-    seen: Annotated[
-        Path | None,
-        typer.Option(help="What the vision PC's operation valve-trials answered: plays, the camera's delay."),
-    ] = None
-
-
 class OdometryOptions(NamedTuple):
     """Where a recording's path goes, and what it is compared with."""
 
@@ -175,12 +158,5 @@ class OdometryOptions(NamedTuple):
     ] = 10.0
     truth: Annotated[
         Path | None,
-        typer.Option(help="True poses of the left camera (TUM): prints ATE, RPE, scale and drift."),
-    ] = None
-    tool_poses: Annotated[
-        Path | None,
-        typer.Option(
-            help="Poses of the arm's tool as its controller told them (TUM, the pairs' clock), where an arm "
-            "carries the camera: tells its motion from that of what moves before it."
-        ),
+        typer.Option(help="True poses of the left camera (TUM, KITTI): prints ATE, RPE, scale and drift."),
     ] = None

@@ -2,22 +2,22 @@
 
 import time
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import get_args
 
 import numpy as np
 
-from foundation.configuration import load, parse_overrides
-from protocol.errors import ConfigurationError
+from foundation.foreign_text import read_each
+from protocol.errors import ConfigurationError, RequestRefused
 from testbed.cli.options import OdometryOptions
+from testbed.hand_eye.trajectories import Trajectory, load_tum
 from testbed.reporting.console import bars, out, promised, table, write_json
-from testbed.reporting.trajectory_errors import TrajectoryErrors, errors_of_maps, read_tum
+from testbed.reporting.trajectory_errors import errors_of_maps
 from vision_pc.application.annotate import png
 from vision_pc.config.vision import MarkerSettings, VisionConfig
-from vision_pc.core import se3
 from vision_pc.core.perception.picture_markers import PictureMarker, drawn, search
 from vision_pc.core.perception.unread_markers import other_reading
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import Image, StereoPair
+from vision_pc.core.types import Image
 from vision_pc.shell.cameras.directory import read_grey
 from vision_pc.shell.cameras.sequence import (
     PairRecord,
@@ -28,53 +28,39 @@ from vision_pc.shell.cameras.sequence import (
     write_tum,
 )
 
-_SAME_S = 1e-4
-_GAP_S = 0.3  # the rig's own limit between two states
+_ROWS_APART_PX = 2.0  # [D] of a rectified pair
 
 
-class OdometryRequest(NamedTuple):
-    """Two directories of pictures, their calibration, where the path goes, and the truth if it is known."""
-
-    config_dir: Path
-    left: Path
-    right: Path
-    calibration: Path
-    options: OdometryOptions
-    settings: list[str]
-
-
-def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
+def run_odometry(
+    known: Recorded, config: VisionConfig, options: OdometryOptions, json_file: Path | None
+) -> bool:
     """Whether every pair was located in one map. The path is in ``trajectory`` in TUM's form, pairs lost left
     out; beside it ``.csv`` has a line a pair, and each map apart has a trajectory of its own.
     """
-    overrides = parse_overrides(request.settings).get("vision")
-    config = load(VisionConfig, request.config_dir / "vision.yaml", overrides)
-    truth = None if request.options.truth is None else read_tum(request.options.truth)
-    tool_at = ToolPoses(request.options.tool_poses)
-    known = Recorded(request.left, request.right, request.calibration, request.options.rate_hz, tool_at)
-    count = len(known.files().files)
+    times_s = 1e-9 * np.array(known.files().times_ns)
+    truth_file = options.truth
+    truth = None if truth_file is None else _read_trajectory(truth_file, times_s)
     with bars() as shown, shown.step("following the camera") as bar:
 
         def report(record: PairRecord) -> None:
-            held = "lost" if record.pose is None else f"{record.pose.inliers} points"
-            bar.update((record.frame_id + 1) / count, f"pair {record.frame_id + 1} of {count}: {held}")
+            state = "lost" if record.pose is None else f"{record.pose.inliers} points"
+            place = f"pair {record.frame_id + 1} of {len(times_s)}"
+            bar.update((record.frame_id + 1) / len(times_s), f"{place}: {state}")
 
-        began = time.process_time()
+        began_s = time.process_time()
         result = follow(known, config, report)
-        spent_ms = 1e3 * (time.process_time() - began) / len(result.records)
-    tool_at.require()
-    files = _write_trajectories(request.options.trajectory, result)
+        spent_ms = 1e3 * (time.process_time() - began_s) / len(result.records)
+    files = _write_trajectories(options.trajectory, result)
     _print(result, spent_ms, files)
-    figures = _figures(result) | {
-        "milliseconds_a_pair": spent_ms,
-        "pairs_with_tool_pose": len(tool_at.used),
-        "trajectories": [str(path) for path in files],
-    }
+    figures = _figures(result) | {"milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files))}
     try:
         if truth is not None:
             maps = {k: result.poses_of(k) for k in (0, *result.apart)}
-            errors = errors_of_maps(maps, *truth, str(request.options.truth))
-            _print_errors(errors)
+            errors = errors_of_maps(maps, *truth, str(truth_file))
+            for k, found in errors.items():
+                which = f"map {k}, " if len(errors) > 1 else ""
+                judged = found or "fewer than three poses: not judged"
+                out.print(f"against the truth, {which}{judged}")
             figures["truth"] = [{"map": k, "errors": e and e._asdict()} for k, e in errors.items()]
     finally:  # the path was found, whether the truth fits it or not
         write_json(json_file, figures)
@@ -94,89 +80,45 @@ def _figures(result: SequenceResult) -> dict[str, object]:
     }
 
 
-class ToolPoses:
-    """Where the tool was at a pair's capture, by a file of poses, if there is one. Raises ConfigurationError.
-
-    ``used``: the pairs that it had a pose for.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
-        self._times_s, self._poses = (np.zeros(0), np.zeros((0, 4, 4))) if path is None else read_tum(path)
-        self.used: set[int] = set()
-
-    def __call__(self, pair: StereoPair) -> Array | None:
-        """X_BT between two poses that are no further apart than states may be; None where there are none."""
-        found = self._between(pair.capture_ns / 1e9)
-        if found is not None:
-            self.used.add(pair.frame_id)
-        return found
-
-    def _between(self, at_s: float) -> Array | None:
-        times_s, poses = self._times_s, self._poses
-        newer = int(np.searchsorted(times_s, at_s - _SAME_S))
-        if newer < len(times_s) and times_s[newer] - at_s <= _SAME_S:
-            return np.asarray(poses[newer])
-        if newer in (0, len(times_s)) or times_s[newer] - times_s[newer - 1] > _GAP_S:
-            return None
-        fraction = (at_s - times_s[newer - 1]) / (times_s[newer] - times_s[newer - 1])
-        return se3.interpolate(poses[newer - 1], poses[newer], float(fraction))
-
-    def require(self) -> None:
-        """Raise ConfigurationError when no pair had a pose."""
-        if self._path is not None and not self.used:
-            told = f"{self._times_s[0]:.3f} to {self._times_s[-1]:.3f} s"
-            why = f"{self._path}: {told}, and no pair was taken then: the clocks do not overlap"
-            raise ConfigurationError("configuration.bad_trajectory", why)
+def _read_trajectory(path: Path, times_s: Array) -> Trajectory:
+    """As ``load_tum``. Raises ConfigurationError (``configuration.bad_trajectory``)."""
+    try:
+        return load_tum(path, times_s=times_s)
+    except RequestRefused as refused:
+        raise ConfigurationError("configuration.bad_trajectory", str(refused)) from refused
 
 
 def _write_trajectories(trajectory: Path, result: SequenceResult) -> list[Path]:
     """The files of all trajectories: that of the first map, then one for each that is apart."""
     write_side_file(promised(trajectory.with_suffix(".csv")), result)
-    files = [trajectory] + [
-        trajectory.with_name(f"{trajectory.stem}.map{k}{trajectory.suffix}") for k in result.apart
-    ]
-    for path, k in zip(files, [0, *result.apart], strict=True):
+    apart = [trajectory.with_name(f"{trajectory.stem}.map{k}{trajectory.suffix}") for k in result.apart]
+    for path, k in zip((trajectory, *apart), (0, *result.apart), strict=True):
         write_tum(path, result.poses_of(k))
-    return files
+    return [trajectory, *apart]
 
 
 def _print(result: SequenceResult, spent_ms: float, files: list[Path]) -> None:
-    for note in result.notes:
-        out.print(note, highlight=False, soft_wrap=True)
     causes = ", ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
     lost = f"{result.lost} lost ({causes})" if result.lost else "none lost"
-    out.print(
+    lines = [
+        *result.notes,
         f"{len(result.records)} pairs, {lost}; {result.keyframes} keyframes; {spent_ms:.1f} ms a pair;"
-        f" {files[0]} holds {len(result.poses)} poses"
-    )
+        f" {files[0]} holds {len(result.poses)} poses",
+    ]
     if result.offset is not None:
-        out.print(
-            f"all disparities are {result.offset.px:+.2f} px off, known to {result.offset.std_px:.2f} px from"
-            " the way itself; taken out"
-        )
+        off = f"{result.offset.px:+.2f} px off, known to {result.offset.std_px:.2f} px"
+        lines.append(f"all disparities are {off} from the way itself; taken out")
     for path, k in zip(files[1:], result.apart, strict=True):
         first = next(record for record in result.records if record.segment == k)
-        out.print(
+        lines.append(
             f"map {k} begins at pair {first.frame_id + 1} after a gap of unknown length and was never joined:"
             f" {len(result.poses_of(k))} poses from its own first pair are in {path}"
         )
+    for line in lines:
+        out.print(line, highlight=False, soft_wrap=True)
 
 
-def _print_errors(maps: dict[int, TrajectoryErrors | None]) -> None:
-    for k, errors in maps.items():
-        which = f"map {k}, " if len(maps) > 1 else ""
-        if errors is None:
-            out.print(f"against the truth, {which}fewer than three poses: not judged")
-            continue
-        drift = "" if errors.drift_percent is None else f", drift {errors.drift_percent:.2f} %"
-        out.print(
-            f"against the truth, {which}{errors.poses} poses over {errors.length_m:.2f} m: ATE"
-            f" {errors.ate_mm:.2f} mm, RPE {errors.rpe_mm:.2f} mm {errors.rpe_deg:.4f} deg a pair, scale"
-            f" {errors.scale:.4f}{drift}"
-        )
-
-
+_HEADS = ("picture", "number", "side px", "x px", "y px", "corners by", "sigma px")
 _DICTIONARIES = get_args(MarkerSettings.model_fields["dictionary"].annotation)
 
 
@@ -192,6 +134,38 @@ def run_markers(
 
     Raises ConfigurationError for an unknown dictionary, unreadable pictures and pairs that are none.
     """
+    requested = frozenset(numbers)
+    rows: list[tuple[str, ...]] = []
+    figures: list[dict[str, object]] = []
+    readable, notes = _checked(pictures, right, dictionary)
+    complete = not notes
+    for (path, twin), (image, twin_image) in readable:
+        found = _detect_in_picture(path, image, dictionary, requested, directory, notes)
+        other = _detect_in_picture(twin, twin_image, dictionary, requested, directory, notes) if right else []
+        missing = sorted(requested - {marker.number for marker in found})
+        wrong = _questions(found, other) if right else ""
+        complete &= bool(found) and not missing and not wrong
+        notes += [f"{path.name}, {twin.name}: {wrong}"] if wrong else []
+        rows += [_row(path, marker) for marker in found]
+        rows += [(path.name, str(number), *["-"] * 5) for number in missing]
+        figures.append({"picture": str(path), "markers": _plain(found), "missing": missing})
+        if right:
+            figures[-1] |= {"right_picture": str(twin), "right_markers": _plain(other)}
+    out.print(table("markers", _HEADS, rows))
+    for note in notes:
+        out.print(note, style="yellow", highlight=False, soft_wrap=True)
+    out.print(f"{len(rows)} lines from {len(readable)} pictures; {'complete' if complete else 'INCOMPLETE'}")
+    answer = {"dictionary": dictionary, "pictures": figures, "notes": notes, "complete": complete}
+    write_json(json_file, answer)
+    return complete
+
+
+def _checked(
+    pictures: list[Path], right: list[Path], dictionary: str
+) -> tuple[list[tuple[tuple[Path, Path], tuple[Image, Image]]], list[str]]:
+    """The pairs, or each picture twice, that can be searched, and why others cannot. Raises as
+    ``run_markers``.
+    """
     if dictionary not in _DICTIONARIES:
         raise ConfigurationError(
             "configuration.unknown_dictionary", f"{dictionary}: one of {', '.join(_DICTIONARIES)} is wanted"
@@ -200,39 +174,23 @@ def run_markers(
         raise ConfigurationError(
             "configuration.bad_pairs", f"{len(pictures)} left pictures, but {len(right)} right ones"
         )
-    requested = frozenset(numbers)
-    rows: list[tuple[str, ...]] = []
-    figures: list[dict[str, object]] = []
-    complete = True
-    notes: list[str] = []
-    for k, path in enumerate(pictures):
-        found = _detect_in_picture(path, dictionary, requested, directory, notes)
-        other = _detect_in_picture(right[k], dictionary, requested, directory, notes) if right else []
-        missing = sorted(requested - {marker.number for marker in found})
-        complete &= bool(found) and not missing
-        rows += [_row(path, marker, other) for marker in found]
-        rows += [(path.name, str(number), *["-"] * 6) for number in missing]
-        figures.append({"picture": str(path), "markers": _plain(found), "missing": missing})
-        if right:
-            figures[-1] |= {"right_picture": str(right[k]), "right_markers": _plain(other)}
-    heads = ("picture", "number", "side px", "x px", "y px", "corners by", "sigma px", "disparity, rows px")
-    out.print(table("markers", heads if right else heads[:-1], [row[: 8 if right else 7] for row in rows]))
-    for note in notes:
-        out.print(note, style="yellow", highlight=False, soft_wrap=True)
-    out.print(f"{len(rows)} lines from {len(pictures)} pictures; {'complete' if complete else 'INCOMPLETE'}")
-    write_json(
-        json_file, {"dictionary": dictionary, "pictures": figures, "notes": notes, "complete": complete}
-    )
-    return complete
+    if right and any(one.resolve() == other.resolve() for one, other in zip(pictures, right, strict=True)):
+        raise ConfigurationError("configuration.bad_pairs", "a picture is given as its own right one")
+    both = zip(pictures, right or pictures, strict=True)
+    return read_each(both, lambda pair: (read_grey(pair[0]), read_grey(pair[1])))
 
 
 def _detect_in_picture(
-    path: Path, dictionary: str, requested: frozenset[int], directory: Path | None, notes: list[str]
+    path: Path,
+    image: Image,
+    dictionary: str,
+    requested: frozenset[int],
+    directory: Path | None,
+    notes: list[str],
 ) -> list[PictureMarker]:
     """The markers of the picture at ``path``, also drawn into ``directory``; ``notes`` gets why others are
     not among them.
     """
-    image = read_grey(path)
     found = search(image, dictionary, requested)
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
@@ -249,31 +207,30 @@ def _detect_in_picture(
 def _unread(image: Image, dictionary: str, squares: int) -> str:
     """What the picture shows in place of markers of ``dictionary``."""
     reason = f"no marker of {dictionary} was read; {squares} squares look like markers"
-    other = other_reading(image, dictionary, _DICTIONARIES)
-    if other is None:
+    if (other := other_reading(image, dictionary, _DICTIONARIES)) is None:
         return reason
-    numbers = " ".join(map(str, other.numbers))
     how = f" if {other.how}" if other.how else ""
-    return f"{reason}: as {other.dictionary}{how} they read {numbers}"
+    return f"{reason}: as {other.dictionary}{how} they read {' '.join(map(str, other.numbers))}"
 
 
-def _row(path: Path, marker: PictureMarker, other: list[PictureMarker]) -> tuple[str, ...]:
+def _questions(left: list[PictureMarker], right: list[PictureMarker]) -> str:
+    """What the markers that both pictures show say against a rectified pair; empty where nothing does."""
+    there = {one.number: one.corners.mean(axis=0) for one in right}
+    apart = [one.corners.mean(axis=0) - there[one.number] for one in left if one.number in there]
+    if not apart:
+        return "no marker is in both"
+    disparity, rows = np.median(apart, axis=0)
+    if disparity <= 0.0:
+        return f"disparity is {disparity:.1f} px, not above 0: the eyes are exchanged, or it is one picture"
+    if abs(rows) > _ROWS_APART_PX:
+        return f"rows are {rows:+.1f} px apart, limit {_ROWS_APART_PX:g} px: no rectified pair"
+    return ""
+
+
+def _row(path: Path, marker: PictureMarker) -> tuple[str, ...]:
     x, y = marker.corners.mean(axis=0)
-    twins = [one for one in other if one.number == marker.number]
-    apart = "-"
-    if len(twins) == 1:
-        dx, dy = (marker.corners - twins[0].corners).mean(axis=0)
-        apart = f"{dx:.2f}, {-dy:+.2f}"
-    return (
-        path.name,
-        str(marker.number),
-        f"{marker.side_px:.1f}",
-        f"{x:.2f}",
-        f"{y:.2f}",
-        marker.method,
-        f"{marker.std_px:.2f}",
-        apart,
-    )
+    shown = f"{marker.number}", f"{marker.side_px:.1f}", f"{x:.2f}", f"{y:.2f}"
+    return path.name, *shown, marker.method, f"{marker.std_px:.2f}"
 
 
 def _plain(markers: list[PictureMarker]) -> list[dict[str, object]]:

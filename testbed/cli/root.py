@@ -17,7 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from protocol.errors import ConfigurationError, LongreachError
-from testbed.reporting.console import INTERRUPTED, LONG, Verbosity, err, long_command, nothing_half_made
+from testbed.reporting.console import INTERRUPTED, Verbosity, err, nothing_half_made
 
 _DIRECTORY = "config_dir"
 
@@ -119,15 +119,14 @@ def _shared_options() -> tuple[Any, ...]:
 
 
 FAILED = 2
-_TYPED = "longreach.typed"  # the words after `longreach`, in the context's notes
 PANELS = {  # in the order of use
-    "Run": ("demo", "up", "experiment", "programs", "doctor"),
-    "See what came out": ("runs", "recording", "replay"),
+    "Run": ("demo", "up", "experiment"),
+    "See what came out": ("recording", "replay"),
     "Your arm, camera and machine": (
-        "init", "config", "arm", "target", "camera", "hand-eye", "commission", "markers",
+        "init", "arm", "target", "camera", "hand-eye", "commission", "markers",
         "odometry",
     ),
-    "Put to the test": ("conformance", "plc"),
+    "Put to the test": ("conformance",),
     "For other tools": ("export", "token"),
 }  # fmt: skip
 PANEL = {name: panel for panel, names in PANELS.items() for name in names}
@@ -151,7 +150,6 @@ class RootGroup(CommandGroup):
 
         Raises ConfigurationError (``extension.not_installed``) for one of a distribution that is absent.
         """
-        ctx.meta[_TYPED] = list(args)
         if args[0] in _ABSENT and args[0] not in self.commands:
             package = _ABSENT[args[0]]
             why = f"longreach {args[0]} is of the package {package}, which is not installed; in a checkout: "
@@ -169,13 +167,13 @@ class RootGroup(CommandGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; refusals, an operating system that will not, and Ctrl-C end the process."""
-        with _one_line(ctx), nothing_half_made(), warnings.catch_warnings():
+        with _one_line(), nothing_half_made(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy's: what they warn of is refused in our words
             return super().invoke(ctx)
 
 
 @contextmanager
-def _one_line(ctx: Any = None) -> Iterator[None]:
+def _one_line() -> Iterator[None]:
     """What is refused becomes one line, in place of usage, hint, a frame or a traceback; so does Ctrl-C."""
     try:
         yield
@@ -189,17 +187,12 @@ def _one_line(ctx: Any = None) -> Iterator[None]:
     except LongreachError as error:
         _end(f"{error.cause}: {error}", FAILED)
     except KeyboardInterrupt:
-        name = long_command([] if ctx is None else ctx.meta.get(_TYPED, []))
-        again = f"; run again, it {LONG[name].again}" if name else ""
-        _end(f"ended by Ctrl-C{again}", INTERRUPTED)
+        _end("ended by Ctrl-C", INTERRUPTED)
     except (MemoryError, ImportError) as error:
         if isinstance(error, ImportError) and "map" not in str(error):
             raise
-        from testbed.realtime.limits import least_memory
-
-        limit = least_memory()
-        room = f"{limit.bytes // 2**20} MB available to {limit.whose}: {limit.advice}"
-        _end(f"system.memory: not enough memory ({error or 'allocation failed'}); {room}", FAILED)
+        more = "close something, or raise the limit of container (memory.max) or process (ulimit -v)"
+        _end(f"system.memory: not enough memory ({error or 'allocation failed'}): {more}", FAILED)
     except BrokenPipeError:
         raise  # the reader of our output has gone; typer ends quietly
     except shutil.Error as error:  # of a copied directory: one of each file
@@ -211,19 +204,19 @@ def _one_line(ctx: Any = None) -> Iterator[None]:
 
 def _in_words(error: TyperException) -> str:
     close = sorted(getattr(error, "possibilities", None) or [])
-    told = error.message if close else " ".join(error.format_message().split()).rstrip(".")
+    message = error.message if close else " ".join(error.format_message().split()).rstrip(".")
     why: Any = error.__cause__
     if hasattr(why, "errors"):  # pydantic's, which has the value
         given = why.errors()[0]["input"]
-        told = told.replace(": Value error, ", ": ").replace(": Input should", f" = {given}: should")
-    told = re.sub(r"\. Did you mean (.*)\?$", r"; did you mean \1?", told)
-    return f"{told}; did you mean {' or '.join(close)}?" if close else told
+        message = message.replace(": Value error, ", ": ").replace(": Input should", f" = {given}: should")
+    message = re.sub(r"\. Did you mean (.*)\?$", r"; did you mean \1?", message)
+    return f"{message}; did you mean {' or '.join(close)}?" if close else message
 
 
-def _end(told: str, status: int) -> None:
+def _end(message: str, status: int) -> None:
     if Verbosity.verbose:
         err.print_exception()
-    err.print(f"longreach: {told}", style="bold red", highlight=False, soft_wrap=True, markup=False)
+    err.print(f"longreach: {message}", style="bold red", highlight=False, soft_wrap=True, markup=False)
     sys.exit(status)
 
 

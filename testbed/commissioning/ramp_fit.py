@@ -52,15 +52,6 @@ class RampFits(NamedTuple):
     residual: float
 
 
-class StepFit(NamedTuple):
-    """One step: spool, time (s) from command to flow, speed over the nominal one at full opening."""
-
-    spool: float
-    delay: float
-    relative_speed: float
-    residual: float
-
-
 def fit_flowing(triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]]) -> RampFits:
     """The fit by rows with flow, and where they are too few by rows in motion.
 
@@ -106,7 +97,7 @@ def fit_ramps(
         for half, own in zip(halves, np.eye(len(halves)), strict=True)
         for rows in half.runs
     ]
-    told = sum(len(part.rows) for part in parts)
+    count = sum(len(part.rows) for part in parts)
     outward = np.zeros(len(halves))
     outward[ways > 0.0] = _at_rest(rates[ways > 0.0])
     parts += [_Part(s, rows, outward) for s, delay in steps for rows in plateaus(s, delay)]
@@ -117,7 +108,7 @@ def fit_ramps(
         raise MeasurementFailed(
             "measurement.ramp_unlike_model", f"flow over nominal is {found[0]:.3g}, wanted > 0"
         )
-    residual = float(np.sqrt(np.mean(left[:told] ** 2)))
+    residual = float(np.sqrt(np.mean(left[:count] ** 2)))
     return RampFits(
         gain=Uncertain(float(found[0]), _GAIN_FLOOR * float(found[0])),
         curvature=float(found[1] / found[0]),
@@ -183,10 +174,10 @@ def _at_rest(rates: Array) -> Array:
     return np.asarray(np.linalg.pinv(matrix)[0])
 
 
-def fit_step(stroke: StrokeRecord) -> StepFit:
-    """The StepFit of a step: the delay is the one with which constant flow from then on fits best."""
+def step_delay(stroke: StrokeRecord) -> float:
+    """The delay (s) of a step from command to flow: constant flow from then on fits best."""
     passed = integral(stroke.t, stroke.e)
-    best: tuple[float, float, float] | None = None
+    best: tuple[float, float] | None = None
     for delay in _DELAYS_S:
         if delay > 0.6 * stroke.t[-1]:
             break
@@ -195,11 +186,10 @@ def fit_step(stroke: StrokeRecord) -> StepFit:
         found, *_ = np.linalg.lstsq(matrix, stroke.turned, rcond=None)
         residual = float(np.sqrt(np.mean((stroke.turned - matrix @ found) ** 2)))
         if best is None or residual < best[0]:
-            best = residual, float(delay), float(found[1])
+            best = residual, float(delay)
     if best is None:
         raise MeasurementFailed("measurement.step_too_short", f"a step of {stroke.t[-1]:.3f} s")
-    residual, delay, speed = best
-    return StepFit(float(stroke.u[stroke.top]), delay, speed, residual)
+    return best[1]
 
 
 def integral(t: Array, values: Array) -> Array:

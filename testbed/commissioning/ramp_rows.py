@@ -1,14 +1,12 @@
-"""Rows of a ramp: its halves and plateaus, the friction they show, and repeated values with their spread."""
+"""Rows of a ramp: its halves and plateaus."""
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.recording import Array, StrokeRecord
 
@@ -41,7 +39,7 @@ def halves_of(triangles: Sequence[StrokeRecord], compliance: float) -> list[Half
 
     Raises MeasurementFailed where fewer than two rise, or fall.
     """
-    told: list[Half] = []
+    found: list[Half] = []
     for name, way in (("rising", 1.0), ("falling", -1.0)):
         halves = sorted((_half(stroke, way, compliance) for stroke in triangles), key=lambda h: -h.seconds)
         second = halves[_LEAST_HALVES - 1].seconds if len(halves) >= _LEAST_HALVES else 0.0
@@ -51,8 +49,8 @@ def halves_of(triangles: Sequence[StrokeRecord], compliance: float) -> list[Half
                 f"{second:.2f} s in motion on the {name} ramp, at least {SHORTEST_S:g} s wanted on "
                 f"{_LEAST_HALVES} of them",
             )
-        told += [half for half in halves if half.seconds >= SHORTEST_S]
-    return told
+        found += [half for half in halves if half.seconds >= SHORTEST_S]
+    return found
 
 
 def _half(stroke: StrokeRecord, way: float, compliance: float) -> Half:
@@ -114,72 +112,6 @@ class Uncertain(NamedTuple):
     std: float
 
 
-def repeated(values: Sequence[float], floor: float) -> Uncertain:
-    """The mean of ``values`` as one number.
-
-    ``floor``: standard deviation of what all of them share (the model's own error), which repeating does not
-    reduce. The scatter of n values counts with Student's spread, (n − 1)/(n − 3) above three values, and 3
-    times below: so few say little about their own scatter.
-    """
-    data = np.asarray(values, dtype=np.float64)
-    n = len(data)
-    if n < 2:
-        raise ValueError(f"{n} values: at least two are wanted")
-    scatter = float(data.std(ddof=1)) / math.sqrt(n)
-    widened = scatter * math.sqrt((n - 1) / (n - 3) if n > 3 else 3.0)
-    return Uncertain(float(data.mean()), math.hypot(widened, floor))
-
-
 def midway(a: Uncertain, b: Uncertain) -> Uncertain:
     """The mean of two independent estimates."""
     return Uncertain(0.5 * (a.value + b.value), 0.5 * math.hypot(a.std, b.std))
-
-
-_MOVES = 0.3  # of the greatest speed of a stroke, above which it surely slides
-_FLOOR_BAR = 0.15  # what the seals' own dynamics leave, as repeating shows on the emulator
-
-
-class FrictionFindings(NamedTuple):
-    """In bar at chamber a. ``load``: what the arm's weight puts on the actuator, in the middle of the travel;
-    ``friction`` at ``speed`` (rad/s), the mean of the triangles."""
-
-    load: Uncertain
-    friction: Uncertain
-    speed: float
-
-
-def friction_findings(strokes: Sequence[StrokeRecord]) -> FrictionFindings:
-    """Friction and load from the full triangles. Raises MeasurementFailed for fewer than two pairs."""
-    triangles = [stroke for stroke in strokes if stroke.kind is StrokeKind.RAMP][2:]
-    pairs = [(a, b) for a, b in pairwise(triangles) if a.sense != b.sense]
-    if len(pairs) < 2:
-        raise MeasurementFailed(
-            "measurement.too_few_strokes", f"{len(pairs)} triangles out and back: two are wanted"
-        )
-    fits = np.array([_fit(a, b) for a, b in pairs])
-    return FrictionFindings(
-        load=repeated(fits[:, 0].tolist(), _FLOOR_BAR),
-        friction=repeated(fits[:, 1].tolist(), _FLOOR_BAR),
-        speed=float(fits[:, 2].mean()),
-    )
-
-
-def _fit(out: StrokeRecord, back: StrokeRecord) -> Array:
-    """Load, friction and mean speed of one triangle out and one back."""
-    middle = float(np.mean(np.concatenate([out.q, back.q])))
-    speeds = [smoothed_speed(stroke) for stroke in (out, back)]
-    mean = float(np.mean(np.concatenate([v[v > _MOVES * v.max()] for v in speeds])))
-    blocks, targets = [], []
-    for stroke, speed in zip((out, back), speeds, strict=True):
-        rows = np.flatnonzero(speed > _MOVES * speed.max())
-        sense, v = stroke.sense, stroke.sense * speed
-        acceleration = np.gradient(v, stroke.t)
-        columns = (
-            np.ones_like(v), sense * np.ones_like(v), sense * (speed - mean), acceleration, stroke.q - middle
-        )  # fmt: skip
-        blocks.append(np.column_stack(columns)[rows])
-        targets.append(sense * stroke.load[rows])
-    matrix, wanted = np.vstack(blocks), np.concatenate(targets)
-    units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-    solved, *_ = np.linalg.lstsq(matrix / units, wanted, rcond=None)
-    return np.array([*(solved / units)[:2], mean])

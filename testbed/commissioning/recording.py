@@ -1,23 +1,20 @@
-"""What commissioning records: the ramps of each joint, and the session that they belong to."""
+"""What commissioning records: the strokes of each joint, and the session that they belong to."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
-from zipfile import BadZipFile
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
-from controller.core.excitation.plan import Stroke, StrokeKind
+from controller.core.excitation.plan import Stroke, StrokeKind, Trouble
 from controller.core.excitation.program import ExcitationSample
-from foundation.configuration import StrictModel, validated
+from controller.shell.scan_recorder import SUMMARY, TrialFile, summarise, write_trial
 from nominal_arm.description import JOINT_NAMES, CylinderDrive, NominalArm
-from plant_emulator.config.valves import JointName
 from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -27,21 +24,13 @@ _LEAST_BAR = 0.1  # cavitation: nothing is told of air there
 _POLYTROPIC = 1.2  # of air in oil: 1 where it keeps the oil's temperature, 1.4 where it has no time to
 
 
-class SeenPose(NamedTuple):
-    """The camera's pose in its first frame (4, 4) by odometry, at ``time_ns`` of the controller's clock."""
-
-    time_ns: int
-    X_C0C: Array
-
-
 class JointRecording(NamedTuple):
     """All scans of one joint's strokes, SI and bar.
 
     ``t`` (n,) s; ``stroke`` (n,), from 0; ``valve`` (n,) commanded, signed; ``q`` (n, 6); ``chambers`` (n, 2)
     bar; ``supply`` (n,) bar; ``full_speed`` (n, 2): nominal, unloaded, raising and lowering; ``kinds``,
     ``outward``: of each stroke. ``area_ratio``: chamber b to a. ``rated`` (2,): supply and return at which
-    the nominal speeds hold, bar; ``back`` (n,): return pressure. ``seen_t`` (m,) s and ``seen_X`` (m, 4, 4):
-    when the camera's pose was seen by odometry, and where; empty where nobody looked.
+    the nominal speeds hold, bar; ``back`` (n,): return pressure.
     """
 
     joint: int
@@ -57,26 +46,15 @@ class JointRecording(NamedTuple):
     kinds: Array
     area_ratio: float
     rated: Array
-    seen_t: Array = np.zeros(0)
-    seen_X: Array = np.zeros((0, 4, 4))
-
-    def save(self, path: Path) -> None:
-        """Write all arrays to one compressed file."""
-        np.savez_compressed(path, **{name: np.asarray(value) for name, value in self._asdict().items()})  # type: ignore[arg-type]
 
 
 def recording_of(
-    arm: NominalArm,
-    joint: int,
-    strokes: Sequence[Stroke],
-    samples: Sequence[ExcitationSample],
-    seen: Sequence[SeenPose] = (),
+    arm: NominalArm, joint: int, strokes: Sequence[Stroke], samples: Sequence[ExcitationSample]
 ) -> JointRecording:
-    """The recording of ``joint`` out of all ``samples``, and what of ``seen`` falls into its time."""
+    """The recording of ``joint`` out of all ``samples``."""
     mine = [k for k, stroke in enumerate(strokes) if stroke.joint == joint]
     rows = [sample for sample in samples if sample.stroke in mine]
     drive = arm.drives[joint]
-    poses = [pose for pose in seen if rows[0].time_ns <= pose.time_ns <= rows[-1].time_ns]
     return JointRecording(
         joint=joint,
         t=1e-9 * np.array([row.time_ns - rows[0].time_ns for row in rows], dtype=np.float64),
@@ -91,27 +69,15 @@ def recording_of(
         kinds=np.array([float(strokes[k].kind) for k in mine]),
         area_ratio=drive.area_ratio if isinstance(drive, CylinderDrive) else 1.0,
         rated=np.array([arm.rated.supply_bar, arm.rated.return_bar]),
-        seen_t=1e-9 * np.array([pose.time_ns - rows[0].time_ns for pose in poses], dtype=np.float64),
-        seen_X=np.array([pose.X_C0C for pose in poses]).reshape(-1, 4, 4),
     )
-
-
-def load_recording(path: Path) -> JointRecording:
-    """The recording in ``path``. Raises ConfigurationError when it is none."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
-            data = {name: found[name] for name in JointRecording._fields}
-    except (OSError, ValueError, KeyError, BadZipFile, EOFError) as error:
-        raise ConfigurationError("commissioning.bad_recording", f"{path}: {error}") from error
-    return JointRecording(**data)._replace(joint=int(data["joint"]), area_ratio=float(data["area_ratio"]))
 
 
 class StrokeRecord(NamedTuple):
     """One stroke, along its own sense: everything positive that helps it.
 
-    ``u`` (n,): the spool's size; ``turned`` (n,) rad; ``q`` (n,). ``e`` (n,) rad/s: nominal speed at full
+    ``u`` (n,): the spool's size; ``turned`` (n,) rad. ``e`` (n,) rad/s: nominal speed at full
     opening by the pressure left across the edge that fills, ``inlet`` (n,) bar: of the chamber that it fills.
-    ``load`` (n,): p_a − ratio · p_b, bar, positive against the motion. ``e_by_outlet``, ``outlet``: as ``e``
+    ``e_by_outlet``, ``outlet``: as ``e``
     and ``inlet``, of the edge and the chamber that are emptied. ``fed_bar`` (n,): by how much ``inlet`` is
     above the tank. ``air`` (n,): how far air in the oil of ``inlet`` is compressed, as a share of its volume
     at the atmosphere. ``nominal`` (n,) rad/s: at the rated pressures. ``top``: index of the greatest spool.
@@ -124,8 +90,6 @@ class StrokeRecord(NamedTuple):
     turned: Array
     e: Array
     inlet: Array
-    load: Array
-    q: Array
     top: int
     nominal: Array
     e_by_outlet: Array
@@ -160,7 +124,6 @@ def strokes_in(recording: JointRecording, compensated: bool) -> list[StrokeRecor
 def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense: float) -> StrokeRecord:
     u = sense * rec.valve[rows]
     q = rec.q[rows, rec.joint]
-    load = rec.chambers[rows, 0] - rec.area_ratio * rec.chambers[rows, 1]
     inlet, outlet = rec.chambers[rows].T if sense > 0.0 else rec.chambers[rows, ::-1].T
     return StrokeRecord(
         kind=kind,
@@ -170,8 +133,6 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
         turned=sense * (q - q[0]),
         e=_available(rec, rows, inlet, sense),
         inlet=inlet,
-        load=sense * load,
-        q=q,
         top=int(np.argmax(u)),
         nominal=rec.full_speed[rows, 0 if sense > 0.0 else 1],
         e_by_outlet=_available_by_outlet(rec, rows, outlet, sense),
@@ -213,117 +174,102 @@ def _available_by_outlet(rec: JointRecording, rows: NDArray[np.intp], outlet: Ar
     return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
 
 
-_SEEN = "seen.json"
 _DIGITS = 16  # of a recording's hash, told with every number
 
 
-class ToldNumber(StrictModel):
-    """A number and its standard deviation, in the unit that its name says."""
+class TrialSession:
+    """The trials of one machine's joints in a directory: a controller's own, or those of the emulated arm.
 
-    value: float
-    std: Annotated[float, Field(gt=0.0)]
-
-
-class TrialsTold(StrictModel):
-    """What ``valve-trials`` answers: half the plays, why others were not seen, the camera's delay."""
-
-    play_mrad: dict[JointName, ToldNumber]
-    unseen: dict[JointName, str] = Field(default_factory=dict)
-    camera_delay_ms: ToldNumber | None = None
-
-
-def trials_told(path: Path) -> TrialsTold:
-    """What the vision PC told in ``path``: the operation as its API gives it, or its result alone.
-
-    Raises ConfigurationError: ``commissioning.no_trials`` for one that failed, ``commissioning.bad_session``,
-    ``configuration.…`` for anything else.
-    """
-    found = _read_json(path)
-    if found is None:
-        raise ConfigurationError("commissioning.bad_session", f"{path}: no such file")
-    problem = found.get("problem") or found
-    if isinstance(problem, dict) and "cause" in problem:
-        why = f"{problem['cause']}: {problem.get('detail')}"
-        raise ConfigurationError("commissioning.no_trials", f"{path}: the operation failed: {why}")
-    return validated(TrialsTold, found.get("result") or found, str(path))
-
-
-class CommissioningSession:
-    """What a session directory holds; every finished joint is kept at once.
-
-    Raises ConfigurationError (``commissioning.other_session``) for a directory that was begun with another
-    arm or configuration, ``commissioning.bad_session`` for one that cannot be read.
+    Both have the form of ``controller.shell.scan_recorder.TrialRecords``; every finished joint is kept at
+    once.
     """
 
-    def __init__(self, directory: Path, arm: NominalArm, config: ControllerConfig) -> None:
-        self.directory = directory
+    def __init__(self, directory: Path, arm: NominalArm, config: ControllerConfig, *, began: bool) -> None:
+        """``began``: whether the directory must hold trials already.
+
+        Raises ConfigurationError: ``commissioning.other_session`` where they are of another arm or
+        configuration, ``commissioning.no_trials`` where there are none.
+        """
+        self._directory, self._arm = directory, arm
         basis = basis_of(arm, config).model_dump()
-        self._state = _read_json(directory / "session.json") or {"basis": basis, "ended_by": None}
-        if self._state.get("basis") != basis:
+        self._summary: dict[str, Any] = {"basis": basis, "finished": [], "ended_by": None, "whole": False}
+        path = directory / SUMMARY
+        if began or path.exists():
+            self._summary = _read_summary(path)
+        if self._summary["basis"] != basis:
             raise ConfigurationError(
                 "commissioning.other_session",
-                f"{directory}: begun with {self._state.get('basis')}, this machine is {basis}; take another "
-                "directory",
+                f"{path}: made with {self._summary['basis']}, this machine is {basis}; take another",
             )
 
     @property
-    def finished(self) -> dict[int, Path]:
-        """The recording of every finished joint."""
-        files = {joint: self._file(joint) for joint in range(len(JOINT_NAMES))}
-        return {joint: path for joint, path in files.items() if path.is_file()}
+    def finished(self) -> list[int]:
+        """The joints that are finished."""
+        return [JOINT_NAMES.index(name) for name in self._summary["finished"]]
+
+    @property
+    def trouble(self) -> Trouble | None:
+        """What broke off the latest trial."""
+        ended = self._summary["ended_by"]
+        if ended is None:
+            return None
+        joint = JOINT_NAMES.index(ended["joint"])
+        return Trouble(ended["cause"], joint, float(ended["value"]), float(ended["limit"]))
 
     def recordings(self) -> dict[int, JointRecording]:
         """All recordings, read. Raises ConfigurationError for one that is none."""
-        return {joint: load_recording(path) for joint, path in self.finished.items()}
+        return {j: recording_of(self._arm, j, *read_trial(self._file(j))) for j in sorted(self.finished)}
 
     def source(self, joint: int) -> str:
         """How a number names the recording that it came from: file and hash."""
         path = self._file(joint)
         return f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS]}"
 
-    def keep(self, recording: JointRecording) -> None:
-        """Keep the recording of a finished joint."""
-        self._write()
-        recording.save(self._file(recording.joint))
+    def keep(self, joint: int, strokes: Sequence[Stroke], samples: Sequence[ExcitationSample]) -> None:
+        """Keep the trial of a finished joint. Raises ConfigurationError (``output.unwritable``)."""
+        finished = [*self._summary["finished"], JOINT_NAMES[joint]]
+        self._summary |= {"finished": finished, "ended_by": None}
+        trial = TrialFile(self._file(joint), list(samples), tuple(strokes), self._summary)
+        self._write(lambda: write_trial(trial))
 
-    @property
-    def seen(self) -> TrialsTold | None:
-        """Plays and delay that the vision PC has told, None for none."""
-        path = self.directory / _SEEN
-        return trials_told(path) if path.is_file() else None
-
-    def keep_seen(self, seen: TrialsTold) -> None:
-        """Keep what the vision PC tells of joints, with what it told of others before."""
-        before = self.seen
-        if before is not None:
-            seen = seen.model_copy(update={"play_mrad": before.play_mrad | seen.play_mrad})
-        self._write()
-        (self.directory / _SEEN).write_text(seen.model_dump_json(indent=2) + "\n", encoding="utf-8")
-
-    def ended_by(self, cause: str | None) -> None:
-        """Note what broke the latest run off, None for nothing."""
-        self._state["ended_by"] = cause
-        self._write()
+    def ended_by(self, trouble: Trouble) -> None:
+        """Note what broke the latest trial off."""
+        self._summary["ended_by"] = trouble._asdict() | {"joint": JOINT_NAMES[trouble.joint]}
+        self._write(lambda: summarise(self._directory, self._summary))
 
     def _file(self, joint: int) -> Path:
-        return self.directory / f"{JOINT_NAMES[joint]}.npz"
+        return self._directory / f"trial_{JOINT_NAMES[joint]}.jsonl"
 
-    def _write(self) -> None:
+    def _write(self, write: Callable[[], None]) -> None:
         try:
-            self.directory.mkdir(parents=True, exist_ok=True)
-            text = json.dumps(self._state, indent=2) + "\n"
-            (self.directory / "session.json").write_text(text, encoding="utf-8")
+            self._directory.mkdir(parents=True, exist_ok=True)
+            write()
         except OSError as error:
-            raise ConfigurationError("output.unwritable", f"{self.directory}: {error.strerror}") from error
+            raise ConfigurationError("output.unwritable", f"{self._directory}: {error.strerror}") from error
 
 
-def _read_json(path: Path) -> dict[str, Any] | None:
-    if not path.is_file():
-        return None
+def _read_summary(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigurationError("commissioning.bad_session", f"{path}: {error}") from error
-    if not isinstance(found, dict):
-        raise ConfigurationError("commissioning.bad_session", f"{path}: a mapping is wanted")
-    return found
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return {key: summary[key] for key in ("basis", "finished", "ended_by", "whole")}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigurationError(
+            "commissioning.no_trials",
+            f"{path}: {error}; start the controller with controller.excitation.enabled=true and "
+            "--record-dir, and name that directory",
+        ) from error
+
+
+def read_trial(path: Path) -> tuple[list[Stroke], list[ExcitationSample]]:
+    """The strokes and the scans in a controller's recording of one joint.
+
+    Raises ConfigurationError (``commissioning.bad_recording``) when it is none.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            header = json.loads(file.readline())
+            rows = [json.loads(line) for line in file]
+        strokes = [Stroke(each[0], StrokeKind(each[1]), *each[2:]) for each in header["strokes"]]
+        return strokes, [ExcitationSample(*row) for row in rows]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ConfigurationError("commissioning.bad_recording", f"{path}: {error}") from error

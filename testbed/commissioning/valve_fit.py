@@ -25,8 +25,8 @@ from scipy.optimize import minimize_scalar
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.ramp_fit import Floor, Loop, fit_flowing, fit_step, loop_of
-from testbed.commissioning.ramp_rows import FED_BAR, SLOW, Uncertain, repeated, smoothed_speed
+from testbed.commissioning.ramp_fit import Floor, Loop, fit_flowing, loop_of, step_delay
+from testbed.commissioning.ramp_rows import FED_BAR, SLOW, Uncertain, smoothed_speed
 from testbed.commissioning.recording import StrokeRecord, air_compressed
 from testbed.commissioning.return_edge import METERS_RAD, between, holds_back, meets, return_edge
 
@@ -35,7 +35,6 @@ _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahe
 # What repeating does not average out: leakage past the spool and the orifice's laminar part shift the rim of
 # a flow that depends on the load, the more so in drawn oil. [M] four joints each of 72902 to 72922.
 _DEPENDENT, _COMPENSATED = Floor(8.0e-5, 2.0e-5), Floor(2.2e-5, 1.0e-5)
-_DELAY_FLOOR_S = 0.003
 # A joint that leaves more is not the model's: three digits of an encoder whose rounding leaves a third,
 # 0.02 mrad, as do booms that load-holding valves let down by fits and starts. With the slowest valve, 0.25
 # rad/s a spool, over 5 s of ramp it stands for 1.2e-4 of spool: not 5 % of the smallest deadband, 0.3 %.
@@ -47,10 +46,9 @@ _POOR = 1e-3  # of spool: a fit that knows a deadband no better has not seen its
 class EdgeFindings(NamedTuple):
     """One sense of one valve.
 
-    ``deadband``, ``hysteresis``: of the spool. ``lag`` (s): from a slowly changing command to the flow;
-    ``response`` (s): from a step to its flow. ``gain``: true flow over nominal where the valve opens;
-    ``curvature`` k of the flow, f(x) = x + k x²; ``compliance`` (rad/bar): of the oil; ``flow``: (spool,
-    speed over nominal at full spool) of every step. ``residual`` (rad): rms of the ramps.
+    ``deadband``, ``hysteresis``: of the spool. ``lag`` (s): from a slowly changing command to the flow.
+    ``gain``: true flow over nominal where the valve opens; ``curvature`` k of the flow, f(x) = x + k x².
+    ``residual`` (rad): rms of the ramps.
 
     ``deadband`` is that of the edge from which on the joint moves, ``last``: ``outlet`` where the load ran
     ahead of its oil, so that the edge that lets it out meters alone; else the one that opens last, ``supply``
@@ -62,11 +60,8 @@ class EdgeFindings(NamedTuple):
     deadband: Uncertain
     hysteresis: Uncertain
     lag: Uncertain
-    response: Uncertain
     gain: Uncertain
     curvature: float
-    compliance: float
-    flow: tuple[tuple[float, float], ...]
     residual: float
     last: Literal["supply", "return", "outlet", "unknown"] = "supply"
     gap: float = 0.0
@@ -143,15 +138,12 @@ def _by_outlet(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
 
 
 def _outlet_alone(strokes: Sequence[StrokeRecord], laminar_bar: float) -> EdgeFindings:
-    """The findings by the outlet edge; gain and flow over the inlet's nominal speed, as the others'."""
+    """The findings by the outlet edge; its gain over the inlet's nominal speed, as the others'."""
     emptied = [_emptying(stroke, laminar_bar) for stroke in strokes]
-    told = _edge_findings(emptied)
+    findings = _edge_findings(emptied)
     shares = [np.median(stroke.e / was.e) for stroke, was in zip(emptied, strokes, strict=True)]
     share = float(np.mean(shares))
-    return told._replace(
-        gain=Uncertain(share * told.gain.value, share * told.gain.std),
-        flow=tuple((spool, share * speed) for spool, speed in told.flow),
-    )
+    return findings._replace(gain=Uncertain(share * findings.gain.value, share * findings.gain.std))
 
 
 def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
@@ -166,22 +158,18 @@ def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
 
 def _edge_findings(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     triangles = _full_triangles(strokes)
-    stepped = [stroke for stroke in strokes if stroke.kind is StrokeKind.STEP]
-    steps = [fit_step(stroke) for stroke in stepped]
+    steps = [(stroke, step_delay(stroke)) for stroke in strokes if stroke.kind is StrokeKind.STEP]
     if len(triangles) < 2 or len(steps) < 2:
         why = f"{len(triangles)} full ramps and {len(steps)} steps: two of each are wanted"
         raise MeasurementFailed("measurement.too_few_strokes", why)
-    ramps = fit_flowing(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
+    ramps = fit_flowing(triangles, steps)
     floor = _COMPENSATED if all(s.compensated for s in strokes) else _DEPENDENT
     loop = loop_of(ramps, floor)
     return EdgeFindings(
         deadband=loop.deadband,
         hysteresis=loop.hysteresis,
         lag=loop.lag,
-        response=repeated([step.delay for step in steps], _DELAY_FLOOR_S),
         gain=ramps.gain,
         curvature=ramps.curvature,
-        compliance=ramps.compliance,
-        flow=tuple((step.spool, step.relative_speed) for step in steps),
         residual=ramps.residual,
     )

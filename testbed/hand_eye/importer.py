@@ -1,11 +1,9 @@
-"""Pose pairs from JSON, YAML and CSV files, docs/hand_eye.md; recordings in time are in ``trajectories``.
+"""Pose pairs from JSON and YAML files, docs/hand_eye.md; recordings in time are in ``trajectories``.
 
 Whatever is wrong with a file is said in one line with the file, the sample and the offending value. Nothing
 is repaired silently: quaternions far from unit norm are normalised only when that is asked for.
 """
 
-import csv
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.configuration import parse_yaml
-from foundation.foreign_text import comma_separated, parse_json
+from foundation.foreign_text import parse_json
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.hand_eye.pose_text import (
-    UNITS,
     file_text,
     numbers,
     rotation_of_quaternion,
@@ -26,8 +23,7 @@ from testbed.hand_eye.pose_text import (
 )
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import CornerViews, KnownLens, PosePairs, pose_pairs
-from vision_pc.core.hand_eye.solvers.lens import checked
+from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, distinct, pose_pairs
 from vision_pc.core.se3 import Array
 
 FORMAT = "longreach-hand-eye/1"
@@ -52,15 +48,13 @@ class ImportOptions(NamedTuple):
 
 
 def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
-    """The samples of a ``.csv``, ``.yaml`` or JSON file, checked.
+    """The samples of a YAML (``.yaml``, ``.yml``) or JSON file, checked.
 
     Raises RequestRefused (``refused.hand_eye.…``) with file and sample for anything that cannot be believed.
     """
     options = options or ImportOptions()
     text = file_text(path)
     try:
-        if path.suffix.lower() == ".csv":
-            return _from_csv(text, options)
         return _from_document(_document(text, path.suffix.lower() in (".yaml", ".yml")), options)
     except RequestRefused as error:
         raise RequestRefused(error.cause, f"{path.name}: {error}") from error
@@ -84,7 +78,7 @@ def _from_document(data: Any, options: ImportOptions) -> PosePairs:
         raise RequestRefused("refused.hand_eye.format", why)
     known = {
         "format", "setup", "length_unit", "marker_id", "samples",
-        "camera_matrix", "distortion", "camera_covariance", "target_points_m",
+        "camera_matrix", "distortion", "target_points_m",
     }  # fmt: skip
     _only(data, known, "the file")
     if data.get("format", FORMAT) != FORMAT:
@@ -108,7 +102,7 @@ def _from_document(data: Any, options: ImportOptions) -> PosePairs:
         names.append(name)
         pixels.append(sample.get("corners_px"))
     corners = _corners(data, pixels, names)
-    return replace(_pairs(hands, cameras, setup, names, options, corners), lens=_lens(data))
+    return _pairs(hands, cameras, setup, names, options, corners)
 
 
 def _own_names(sample: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,13 +133,13 @@ def _setup(name: Any) -> Setup:
 
 
 def _check_flags(settled: Any, marker_id: Any, wanted: Any, where: str) -> None:
-    if (
-        settled is not None
-        and settled is not True
-        and str(settled).strip().lower() not in ("true", "1", "yes")
-    ):
+    if settled is not None and not isinstance(settled, bool):
+        why = f"{where}: settled = {settled!r}: true or false is wanted"
+        raise RequestRefused("refused.hand_eye.format", why)
+    if settled is False:
         raise RequestRefused("refused.hand_eye.unsettled", f"{where}: taken before the arm had settled")
-    if wanted is not None and marker_id is not None and int(marker_id) != int(wanted):
+    asked = [numbers([one], 1, f"{where}: marker_id") for one in (wanted, marker_id) if one is not None]
+    if len(asked) == 2 and asked[0] != asked[1]:
         raise RequestRefused(
             "refused.hand_eye.marker_id", f"{where}: shows marker {marker_id}, marker {wanted} was asked for"
         )
@@ -199,32 +193,24 @@ def _corners(data: Mapping[str, Any], pixels: list[Any], names: list[str]) -> Co
     if not all(given):
         missing = names[given.index(False)]
         raise RequestRefused("refused.hand_eye.format", f"sample {missing}: corners_px is missing")
-    points = np.asarray(data.get("target_points_m", []), dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
+    points_m = data.get("target_points_m")
+    if not isinstance(points_m, list) or not points_m:
         raise RequestRefused(
             "refused.hand_eye.format", "corners_px need target_points_m, a list of [x, y, z]"
         )
+    points = np.stack([numbers(point, 3, f"target_points_m {k}") for k, point in enumerate(points_m, 1)])
     K = numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
-    distortion = np.asarray(data.get("distortion", [0.0] * 5), dtype=np.float64).ravel()
-    seen = []
-    for name, value in zip(names, pixels, strict=True):
-        flat = [[math.nan, math.nan] if pixel is None else pixel for pixel in value]
-        seen.append(numbers(flat, 2 * len(points), f"sample {name}: corners_px").reshape(-1, 2))
-    return CornerViews(points, np.stack(seen), K, distortion)
-
-
-def _lens(data: Mapping[str, Any]) -> KnownLens | None:
-    """The file's camera matrix with its covariance; None where it gives none."""
-    given = data.get("camera_covariance")
-    if given is None:
-        return None
-    size = 9 if isinstance(given, list) and len(given) == 9 else 4
-    covariance = numbers(given, size * size, "camera_covariance").reshape(size, size)
-    K = numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
-    distortion = np.zeros(5)
-    coefficients = np.asarray(data.get("distortion", []), dtype=np.float64).ravel()[:5]
-    distortion[: len(coefficients)] = coefficients
-    return checked(K, distortion, covariance)
+    seen = np.full((len(names), len(points), 2), np.nan)
+    for k, (name, value) in enumerate(zip(names, pixels, strict=True)):
+        where = f"sample {name}: corners_px"
+        if not isinstance(value, list) or len(value) != len(points):
+            raise RequestRefused("refused.hand_eye.format", f"{where}: {len(points)} pixels are wanted")
+        for j, pixel in enumerate(value):
+            if pixel is not None:
+                seen[k, j] = numbers(pixel, 2, where)
+    given = data.get("distortion", [0.0] * 5)
+    distortion = numbers(given, len(given) if isinstance(given, list) else 5, "distortion")
+    return CornerViews(points, seen, K, distortion)
 
 
 def _pairs(
@@ -239,59 +225,9 @@ def _pairs(
     X_BT = np.stack(hands) if hands else np.zeros((0, 4, 4))
     if options.camera_in_target:
         X_CP = stacks.inverse(X_CP)
-    return pose_pairs(X_BT, X_CP, setup, tuple(names), corners)
-
-
-def _from_csv(text: str, options: ImportOptions) -> PosePairs:
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    try:
-        lines = comma_separated(lines)
-    except ValueError as error:
-        raise RequestRefused("refused.hand_eye.format", str(error)) from error
-    while lines and all(line.rstrip().endswith(",") for line in lines):  # empty columns of a spreadsheet
-        lines = [line.rstrip()[:-1] for line in lines]
-    reader = csv.DictReader(lines, skipinitialspace=True)
-    columns = [c.strip() for c in reader.fieldnames or []]
-    reader.fieldnames = columns
-    allowed = {"name", "settled", "marker_id"} | {
-        f"{side}_{axis}"
-        for side in ("hand", "camera")
-        for axis in (
-            [f"{a}_{unit}" for a in "xyz" for unit in UNITS]
-            + [f"q{a}" for a in "wxyz"]
-            + [f"r{a}_{unit}" for a in "xyz" for unit in ("rad", "deg")]
-        )
-    }
-    _only(dict.fromkeys(columns), allowed, "the header")
-    names, hands, cameras = [], [], []
-    for k, record in enumerate(reader):
-        name = (record.get("name") or str(k + 1)).strip()
-        where = f"sample {name}"
-        if None in record or None in record.values():
-            raise RequestRefused("refused.hand_eye.format", f"{where}: {len(columns)} columns are wanted")
-        _check_flags(record.get("settled") or None, record.get("marker_id") or None, options.marker_id, where)
-        hands.append(_csv_pose(record, "hand", where, options))
-        cameras.append(_csv_pose(record, "camera", where, options))
-        names.append(name)
-    return _pairs(hands, cameras, options.setup or Setup.EYE_IN_HAND, names, options)
-
-
-def _csv_pose(record: Mapping[str, str], side: str, where: str, options: ImportOptions) -> Array:
-    where = f"{where}: {side}"
-    X = np.eye(4)
-    for unit, scale in UNITS.items():
-        if f"{side}_x_{unit}" in record:
-            X[:3, 3] = scale * numbers([record.get(f"{side}_{a}_{unit}") for a in "xyz"], 3, where)
-            break
-    else:
-        raise RequestRefused("refused.hand_eye.format", f"{where}: no column {side}_x_m")
-    if f"{side}_qw" in record:
-        q = numbers([record.get(f"{side}_q{a}") for a in "wxyz"], 4, where)
-        X[:3, :3] = rotation_of_quaternion(q, where, options.normalise)
-        return X
-    for unit, factor in (("rad", 1.0), ("deg", math.pi / 180.0)):
-        if f"{side}_rx_{unit}" in record:
-            v = factor * numbers([record.get(f"{side}_r{a}_{unit}") for a in "xyz"], 3, where)
-            X[:3, :3] = rotation_of_vector(v, where)
-            return X
-    raise RequestRefused("refused.hand_eye.format", f"{where}: no column {side}_qw or {side}_rx_rad")
+    own = (
+        distinct(X_BT, X_CP) if all(np.isfinite(X).all() for X in (X_BT, X_CP)) else np.ones(len(X_BT), bool)
+    )
+    corners = corners and corners._replace(pixels=corners.pixels[own])
+    pairs = pose_pairs(X_BT[own], X_CP[own], setup, tuple(np.array(names, dtype=object)[own]), corners)
+    return replace(pairs, copies=len(names) - len(pairs))

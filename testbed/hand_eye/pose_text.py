@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.foreign_text import comma_separated, read_text
+from foundation.numbers_as_written import written_number
 from protocol.errors import RequestRefused
 from testbed.choices import PoseForm
 from vision_pc.core import se3
@@ -18,6 +19,9 @@ from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 
 _NORM_TOLERANCE = 0.02
+_OPENING = re.compile(r"^(?:p(?=\s*\[))?[\s\[({]+")  # what a robot writes before its numbers, and behind them
+_NO_NAME = re.compile(r"(?i)[-+.\u2212\d]|(nan|inf)\b")
+_CLOSING = re.compile(r"[\s\])};,]+$")
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
 
@@ -29,11 +33,33 @@ def file_text(path: Path) -> str:
         raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {error}") from error
 
 
-def _rows(path: Path) -> list[str]:
+class PoseLine(NamedTuple):
+    """One line of a file of poses: ``where`` it stands, and its words."""
+
+    where: str
+    words: list[str]
+
+
+def pose_lines(path: Path) -> list[PoseLine]:
+    """The lines of a file with a pose a line, without comments and a first line of names alone.
+
+    Words stand between commas, semicolons, tabs or blanks, in the brackets and behind the letters that robots
+    write (``p[…]``, ``{X …, Y …}``). Raises RequestRefused.
+    """
+    lines = [(k, line.split("#", 1)[0].strip()) for k, line in enumerate(file_text(path).splitlines(), 1)]
+    lines = [(k, _CLOSING.sub("", _OPENING.sub("", line))) for k, line in lines if line]
     try:
-        return comma_separated(file_text(path).splitlines())
+        cells = comma_separated([line for _, line in lines])
     except ValueError as error:
         raise RequestRefused("refused.hand_eye.format", f"{path.name}: {error}") from error
+    found: list[PoseLine] = []
+    for (k, _), row in zip(lines, cells, strict=True):
+        words = [word for word in re.split(r"[,;\s\[\](){}]+", row) if word]
+        if [word.upper() for word in words[::2]] == list("XYZABC"):
+            words = words[1::2]
+        if found or any(map(_NO_NAME.match, words)):
+            found.append(PoseLine(f"{path.name}: line {k}", words))
+    return found
 
 
 def unit_scale(name: Any) -> float:
@@ -68,15 +94,15 @@ def rotation_of_vector(v: Array, where: str) -> Array:
 
 def numbers(value: Any, count: int, where: str) -> Array:
     """``value`` as ``count`` numbers, in one row. Raises RequestRefused when it is something else."""
-    try:
-        array = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError) as error:
-        raise RequestRefused("refused.hand_eye.format", f"{where}: {count} numbers are wanted") from error
-    if array.size != count:
+    cells = np.ravel(np.asarray(value, dtype=object))
+    if cells.size != count:
         raise RequestRefused(
-            "refused.hand_eye.format", f"{where}: {count} numbers are wanted, got {array.size}"
+            "refused.hand_eye.format", f"{where}: {count} numbers are wanted, got {cells.size}"
         )
-    return array
+    try:
+        return np.array([written_number(cell) for cell in cells])
+    except ValueError as error:
+        raise RequestRefused("refused.hand_eye.format", f"{where}: {error}") from error
 
 
 _COUNTS = {PoseForm.EULER: 6, PoseForm.EULER_RAD: 6, PoseForm.UR: 6, PoseForm.KUKA: 6,
@@ -113,17 +139,13 @@ def read_robot_poses(
     poses: list[Array] = []
     names: list[str | None] = []
     widest = 0.0
-    for number, line in enumerate(_rows(path), start=1):
-        words = re.split(r"[,;\s]+", line.strip().strip("[],;"))
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        name = None if _is_number(words[0]) else words.pop(0)
-        if not poses and not any(map(_is_number, words)):
-            continue  # a header
-        values = numbers(words, _COUNTS.get(form, 7), f"{path.name} line {number} ({form})")
+    for line in pose_lines(path):
+        words = line.words
+        name = None if is_number(words[0]) or len(words) == _COUNTS.get(form, 7) else words.pop(0)
+        values = numbers(words, _COUNTS.get(form, 7), f"{line.where} ({form})")
         widest = max(widest, float(np.abs(values[3:]).max()))
         X = np.eye(4)
-        p, R = _parse_pose(values, form, order, f"{path.name} line {number}", normalise)
+        p, R = _parse_pose(values, form, order, line.where, normalise)
         X[:3, :3], X[:3, 3] = R, scale * p
         poses.append(X)
         names.append(name)
@@ -135,8 +157,8 @@ def read_robot_poses(
         raise RequestRefused(
             "refused.hand_eye.format", f"{path.name}: some lines name a picture, some do not"
         )
-    told = tuple(str(name) for name in names)
-    return RobotPoses(np.stack(poses), told if names[0] is not None else None)
+    named = tuple(str(name) for name in names)
+    return RobotPoses(np.stack(poses), named if names[0] is not None else None)
 
 
 def _question_degrees(widest: float, where: str) -> None:
@@ -180,8 +202,10 @@ def _euler(angles: Array, order: str) -> Array:
     return np.asarray(first @ second @ third)
 
 
-def _is_number(word: str) -> bool:
+def is_number(word: str) -> bool:
+    """Whether a word of a file is a number."""
     try:
-        return math.isfinite(float(word))
+        written_number(word)
     except ValueError:
         return False
+    return True

@@ -12,7 +12,6 @@ from protocol.errors import MeasurementFailed
 from testbed.reporting.console import Columns, listed, table
 from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3
-from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import methods
@@ -160,10 +159,7 @@ def coverage_table(found: Intrinsics) -> Table:
 
 
 class HoldOutRow(NamedTuple):
-    """One method on one set: calibrated on one half, prediction error on the other, and exchanged.
-
-    ``off_*`` compare X from all samples with the published reference, where there is one.
-    """
+    """One method on one set: calibrated on one half, prediction error on the other, and exchanged."""
 
     data: str
     method: str
@@ -171,14 +167,10 @@ class HoldOutRow(NamedTuple):
     hold_out_deg: float
     hold_out_mm: float
     left_out: int
-    off_deg: float | None = None
-    off_mm: float | None = None
     error: str | None = None
 
 
-def hold_out(
-    data: str, pairs: PosePairs, reference: Array | None = None, only: Iterable[Method] | None = None
-) -> tuple[HoldOutRow, ...]:
+def hold_out(data: str, pairs: PosePairs, only: Iterable[Method] | None = None) -> tuple[HoldOutRow, ...]:
     """Root-mean-square errors of two-fold hold-out; halves are alternate samples in canonical order."""
     rows = []
     even = np.arange(len(pairs)) % 2 == 0
@@ -190,7 +182,6 @@ def hold_out(
             rows.append(HoldOutRow(data, method.value, len(pairs), np.nan, np.nan, 0, error=str(error)))
             continue
         r = np.concatenate(parts)
-        off = None if reference is None else stacks.inverse(reference) @ result.X
         rows.append(
             HoldOutRow(
                 data,
@@ -199,8 +190,6 @@ def hold_out(
                 float(np.degrees(np.sqrt(np.mean(np.sum(r[:, 3:] ** 2, axis=1))))),
                 float(1e3 * np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1)))),
                 int((~result.inliers).sum()),
-                None if off is None else float(np.degrees(stacks.angle(off[:3, :3]))),
-                None if off is None else float(1e3 * np.linalg.norm(off[:3, 3])),
             )
         )
     return tuple(rows)
@@ -220,8 +209,6 @@ def hold_out_table(rows: Iterable[HoldOutRow]) -> Table:
         "samples": "{samples}",
         "hold-out deg": lambda r: "–" if r.error else f"{r.hold_out_deg:.3f}",
         "hold-out mm": lambda r: "–" if r.error else f"{r.hold_out_mm:.3f}",
-        "left out": lambda r: "–" if r.error else r.left_out,
-        "off ref. deg": lambda r: r.error or ("–" if r.off_deg is None else f"{r.off_deg:.3f}"),
-        "off ref. mm": lambda r: "" if r.error else "–" if r.off_mm is None else f"{r.off_mm:.2f}",
+        "left out": lambda r: r.error or r.left_out,
     }
     return listed("calibrated on one half, predicted on the other", columns, rows)

@@ -1,8 +1,9 @@
 """The guided dialogue as text: what each step of a session says on the terminal."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from foundation.foreign_text import parse_json
 from foundation.secret_source import secret_from_file
@@ -15,41 +16,17 @@ from vision_pc.core.hand_eye.guided import session as sessions
 from vision_pc.core.perception.markers import corner_points
 
 JSON = dict[str, Any]
+T = TypeVar("T")
 
 
-def started(check: JSON, json_file: Path | None) -> None:
+def started(check: JSON) -> None:
     """Print the verdict on the starting pose."""
     _marker(check["marker"])
     _say(f"poses in view and in bounds: {check['poses_in_view']}")
-    _say(
-        f"promised after {check['session']['count'].split('/')[1]} samples: "
-        f"{check['promised_std_mm']:.2f} mm, {check['promised_std_deg']:.3f}° (planning noise)"
-    )
     _say(check["verdict"], "green")
-    write_json(json_file, check)
 
 
-def proposed(proposal: JSON, json_file: Path | None) -> None:
-    """Print the proposed pose."""
-    x, y, z = (row[3] for row in proposal["X_BT"][:3])
-    u, v = proposal["pixel"]
-    _say(
-        f"next pose: hand at {x:.3f} {y:.3f} {z:.3f} m; marker at pixel {u:.0f} {v:.0f}, "
-        f"{proposal['distance_m']:.2f} m, {proposal['obliquity_deg']:.0f}° oblique; "
-        f"adds {proposal['gain_nats']:.2f} nats, then X is known to {proposal['std_after_mm']:.2f} mm, "
-        f"{proposal['std_after_deg']:.3f}° (best of {proposal['choices']})"
-    )
-    write_json(json_file, proposal)
-
-
-def gone(done: JSON, json_file: Path | None) -> None:
-    """Print where the arm stands now."""
-    how = "settled" if done["settled"] else "still, beside its reference"
-    _say(f"there: {how}, off by {done['off']['mm']:.2f} mm, {done['off']['deg']:.3f}°", "green")
-    write_json(json_file, done)
-
-
-def sampled(done: JSON, json_file: Path | None) -> None:
+def sampled(done: JSON) -> None:
     """Print the new sample with its residual."""
     _marker(done["marker"])
     _say(
@@ -57,7 +34,6 @@ def sampled(done: JSON, json_file: Path | None) -> None:
         f"{_three(done['residual_deg'], 3)}°; X known to {done['std_mm']:.2f} mm, {done['std_deg']:.3f}°",
         "green",
     )
-    write_json(json_file, done)
 
 
 def listed(view: JSON, json_file: Path | None) -> None:
@@ -71,34 +47,22 @@ def listed(view: JSON, json_file: Path | None) -> None:
     out.print(table(title, ("sample", "m away", "residual mm", "residual °", "arm"), rows))
     if view["refused"]:
         _say(f"the controller refused {view['refused']} poses")
-    if view["proposal"] is not None:
-        proposed(view["proposal"], None)
     write_json(json_file, view)
 
 
 def solved(answer: JSON, json_file: Path | None) -> bool:
-    """Whether the calibration is good; X, its doubt, its proof and what others say are printed."""
+    """Whether the calibration is good; X, its doubt and its proof are printed."""
     p, q = answer["X_TC"]["p_m"], answer["X_TC"]["q_wxyz"]
     quaternion = " ".join(f"{v:.6f}" for v in q)
     _say(f"X_TC (camera in hand): {_three([1e3 * v for v in p], 3)} mm, q_wxyz {quaternion}")
     for what, doubt in (("samples' noise alone", answer), ("arm and the camera as well", answer["with_arm"])):
         _say(f"± by the {what}: {_three(doubt['std_mm'], 3)} mm, {_three(doubt['std_deg'], 4)}°")
     arm = answer["arm"]
-    if arm is not None:
-        told = ", ".join(
-            f"{v:+.1f} ± {s:.1f}" for v, s in zip(arm["zeros_mrad"], arm["std_mrad"], strict=True)
-        )
-        _say(f"joint zeros, to be added to the encoders: {told} mrad")
+    zeros = ", ".join(f"{v:+.1f} ± {s:.1f}" for v, s in zip(arm["zeros_mrad"], arm["std_mrad"], strict=True))
+    _say(f"joint zeros, to be added to the encoders: {zeros} mrad")
     certificate = answer["certificate"]
     proof = "proven" if certificate["holds"] else "NOT proven"
     _say(f"global optimum {proof}: least eigenvalue {certificate['least_eigenvalue']:.1e}")
-    rows = [
-        (o["method"], o["failed"], "", "")
-        if "failed" in o
-        else (o["method"], _three(o["p_mm"], 2), f"{o['off']['mm']:.2f}", f"{o['off']['deg']:.3f}")
-        for o in answer["others"]
-    ]
-    out.print(table("other methods on the same samples", ("method", "mm", "off mm", "off °"), rows))
     left_out = answer["left_out"]
     rows = [
         (r["name"], _three(r["mm"], 2), _three(r["deg"], 3), "left out" if r["name"] in left_out else "")
@@ -112,28 +76,6 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
     return bool(answer["good"])
 
 
-def located(found: JSON, json_file: Path | None) -> None:
-    """Print the cabinet's targets."""
-    rows = [
-        (
-            t["name"],
-            _three(t["p_T_m"], 4),
-            _three(t["p_B_m"], 4),
-            f"{t['correlation']:.3f}",
-            f"{t['gap_px']:.3f}",
-        )
-        for t in found["targets"]
-    ]
-    columns = ("target", "in the hand m", "in the base m", "correlation", "gap px")
-    out.print(table("control cabinet", columns, rows))
-    write_json(json_file, found)
-
-
-def named(names: Sequence[str]) -> None:
-    """Print the sessions on the vision PC's disk."""
-    _say(", ".join(names) or "no sessions")
-
-
 def exported(session: Path, samples: Path) -> None:
     """Write the samples of a session's file to ``samples``, in the importer's format.
 
@@ -141,7 +83,7 @@ def exported(session: Path, samples: Path) -> None:
     """
     try:
         document = parse_json(file_text(session))
-        if document["format"] not in (sessions.FORMAT, sessions.FORMAT_1):
+        if document["format"] != sessions.FORMAT:
             raise ValueError(f"format is {document['format']!r}, {sessions.FORMAT!r} is wanted")
         exported_document = {
             "format": FORMAT,
@@ -198,23 +140,34 @@ class SessionClient(RestRig):
         """A session from the disk, opened."""
         return self._ask("POST", "/hand-eye/session/resume", json={"name": name})
 
-    def propose(self, informative: bool = True) -> JSON:
-        """The next pose."""
-        return self._ask("POST", "/hand-eye/session/propose", json={"informative": informative})
-
     def remove(self, name: str) -> JSON:
         """The session without a sample."""
         return self._ask("DELETE", f"/hand-eye/session/samples/{name}")
 
 
-def with_session(url: str, token_file: Path | None, act: Callable[[SessionClient], None]) -> None:
-    """Call ``act`` with a connection to the vision PC at ``url``, and close it.
+def run_session(client: SessionClient, body: JSON, json_file: Path | None) -> bool:
+    """Whether the session that ``body`` names is solved well; it is begun, or goes on."""
+    if body["name"] in client.names():
+        view = client.resume(body["name"])
+    else:
+        given = {key: value for key, value in body.items() if value is not None}
+        started(client.step("start", given, "checking the starting pose"))
+        view = client.view()
+    while not view["complete"]:
+        if view["samples"]:
+            client.step("next", {}, "moving to the next pose")
+        sampled(client.step("sample", {}, "taking a sample"))
+        view = client.view()
+    listed(view, None)
+    return solved(client.step("solve", {}, "solving"), json_file)
+
+
+def with_session(url: str, token_file: Path | None, act: Callable[[SessionClient], T]) -> T:
+    """What ``act`` returns of a connection to the vision PC at ``url``, which is closed then.
 
     ``token_file``: where the token of the role ``operate`` is, if one is wanted. Raises ConfigurationError as
     ``secret_from_file`` does.
     """
-    face = SessionClient(url, None if token_file is None else secret_from_file(token_file, "operate token"))
-    try:
-        act(face)
-    finally:
-        face.close()
+    token = None if token_file is None else secret_from_file(token_file, "operate token")
+    with contextlib.closing(SessionClient(url, token)) as client:
+        return act(client)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
-from testbed.hand_eye.pose_text import file_text, rotation_of_quaternion
+from testbed.hand_eye.pose_text import PoseLine, file_text, numbers, pose_lines, rotation_of_quaternion
 from testbed.reporting.console import out
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
@@ -23,8 +23,12 @@ from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
 from vision_pc.core.se3 import Array
 from vision_pc.shell.cameras.capture_times import unix_seconds
 
+_COPIES = 4  # [D] lines of one time, on average, that are believed
 _SAME_S = 1e-5  # two stamps of one moment, whatever the clock counts from: a double's step is 2e-7 s in 2026
-_W_FIRST = re.compile(r"q_?w\b.*q_?x\b")
+_W_FIRST = re.compile(r"(?i)(?:\bq|orientation)[\w.]*w\b.*(?:\bq|orientation)[\w.]*x\b")
+_EUROC = 17  # time, position, quaternion w first, velocity and the inertial unit's offsets
+_KITTI = 12  # a pose's upper three rows, without a time
+_SKEW = 1e-3  # how far what a file calls a rotation may be from one
 _RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses
 
 
@@ -35,46 +39,29 @@ class Trajectory(NamedTuple):
     X: Array
 
 
-class PairingOptions(NamedTuple):
-    """How moments are chosen: at least ``spacing_deg`` or ``spacing_m`` apart, at most ``most`` of them.
-
-    ``offset_s`` is added to the camera's clock; None estimates it from the turning speeds. ``gap_s`` is the
-    longest stretch of the hand's recording over which its pose is interpolated.
-    """
-
-    offset_s: float | None = 0.0
-    spacing_deg: float = 5.0
-    spacing_m: float = 0.05
-    most: int = 60
-    gap_s: float = 0.1
+# At least so far apart are the moments that are chosen, and at most so many.
+_SPACING_DEG, _SPACING_M, _MOST = 5.0, 0.05, 60
+_LONGEST_S = 0.1  # stretch of the hand's recording over which its pose is interpolated
 
 
-def load_tum(path: Path, normalise: bool = False) -> Trajectory:
-    """A trajectory file: lines ``t x y z qx qy qz qw`` (s or a Unix time of any unit, m), blanks or commas
-    between, ``#`` comments; one that names q_w before q_x (EuRoC's ground truth) gives their order.
+def load_tum(path: Path, normalise: bool = False, times_s: Array | None = None) -> Trajectory:
+    """A trajectory file: lines ``t x y z qx qy qz qw`` (s or a Unix time of any unit, m) as ``pose_lines``
+    has them; a header that names q_w before q_x gives their order, as do EuRoC's 17 columns of ground truth.
 
-    Lines are put in order of time, and of lines with the same time the first is kept. Raises RequestRefused
-    naming the line.
+    Or KITTI's 12 columns, a line for each of ``times_s``. Lines are put in order of time, and of lines with
+    the same time the first is kept. Raises RequestRefused naming the line.
     """
     times, poses = [], []
-    order = [7, 4, 5, 6]  # of w x y z
-    for number, line in enumerate(file_text(path).splitlines(), start=1):
-        if line.startswith("#") and _W_FIRST.search(line):
-            order = [4, 5, 6, 7]
-        content = line.split("#", 1)[0].replace(",", " ").split()
-        if not content:
-            continue
-        where = f"{path.name}: line {number}"
-        try:
-            values = np.array([float(word) for word in content])
-        except ValueError as error:
-            raise RequestRefused("refused.hand_eye.format", f"{where}: not a number: {error}") from error
-        if values.size != 8 or not np.isfinite(values).all():
-            raise RequestRefused(
-                "refused.hand_eye.format", f"{where}: 8 finite numbers are wanted, got {values.size}"
-            )
+    w_first = bool(_W_FIRST.search(file_text(path)))
+    lines = pose_lines(path)
+    if lines and len(lines[0].words) == _KITTI:
+        return _of_kitti(path, lines, times_s)
+    for line in lines:
+        euroc = len(line.words) == _EUROC
+        values = numbers(line.words[:8] if euroc else line.words, 8, line.where)
         times.append(values[0])
-        R = rotation_of_quaternion(values[order], where, normalise)
+        order = [4, 5, 6, 7] if w_first or euroc else [7, 4, 5, 6]
+        R = rotation_of_quaternion(values[order], line.where, normalise)
         poses.append(stacks.transform(R, values[1:4]))
     if len(times) < 3:
         raise RequestRefused(
@@ -84,37 +71,63 @@ def load_tum(path: Path, normalise: bool = False) -> Trajectory:
     if unit != "seconds":
         out.print(f"{path.name}: its times are taken for {unit}", highlight=False, soft_wrap=True)
     time_s, first = np.unique(found_s, return_index=True)
+    if len(time_s) * _COPIES < len(times):
+        why = f"{path.name}: {len(times)} lines have {len(time_s)} different times: have they lost digits?"
+        raise RequestRefused("refused.hand_eye.clocks", why)
     return Trajectory(time_s, np.stack(poses)[first])
+
+
+def _of_kitti(path: Path, lines: list[PoseLine], times_s: Array | None) -> Trajectory:
+    """The poses of KITTI's odometry benchmark, one for each picture and without a time. Raises
+    RequestRefused.
+    """
+    if times_s is None or len(times_s) != len(lines):
+        many = "no pictures" if times_s is None else f"{len(times_s)} pairs"
+        why = (
+            f"{path.name}: {len(lines)} poses of 12 columns, as KITTI's without times, beside {many}: as many"
+        )
+        raise RequestRefused("refused.hand_eye.count", f"{why} are wanted, or TUM's t x y z qx qy qz qw")
+    X = np.tile(np.eye(4), (len(lines), 1, 1))
+    X[:, :3] = [numbers(line.words, _KITTI, line.where).reshape(3, 4) for line in lines]
+    R = X[:, :3, :3]
+    skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1)) + (np.linalg.det(R) < 0.0)
+    if skew.max() > _SKEW:
+        why = f"{lines[int(skew.argmax())].where}: rotation is off a right-handed orthonormal one by"
+        raise RequestRefused("refused.hand_eye.not_orthonormal", f"{why} {skew.max():.2g}, limit {_SKEW:g}")
+    return Trajectory(times_s, X)
 
 
 def pair(
     hand: Trajectory,
     camera: Trajectory,
-    pairing: PairingOptions | None = None,
+    offset_s: float | None = 0.0,
     options: ImportOptions | None = None,
 ) -> tuple[PosePairs, float]:
     """Samples at the camera's times, the hand interpolated, and the clock offset that was used (s).
 
+    ``offset_s`` is added to the camera's clock; None estimates it from the turning speeds.
+
     Raises RequestRefused: ``refused.hand_eye.count`` when the recordings do not overlap.
     """
-    pairing, options = pairing or PairingOptions(), options or ImportOptions()
-    offset = estimated_offset(hand, camera) if pairing.offset_s is None else pairing.offset_s
+    options = options or ImportOptions()
+    offset = estimated_offset(hand, camera) if offset_s is None else offset_s
     times = camera.time_s + offset
     after = np.clip(np.searchsorted(hand.time_s, times), 1, len(hand.time_s) - 1)
     width = hand.time_s[after] - hand.time_s[after - 1]
     exact = np.minimum(np.abs(times - hand.time_s[after]), np.abs(times - hand.time_s[after - 1])) < _SAME_S
     usable = (
-        (times >= hand.time_s[0]) & (times <= hand.time_s[-1]) & ((width <= pairing.gap_s + _SAME_S) | exact)
+        (times >= hand.time_s[0]) & (times <= hand.time_s[-1]) & ((width <= _LONGEST_S + _SAME_S) | exact)
     )
+    usable[1:] &= np.any(camera.X[1:] != camera.X[:-1], axis=(1, 2))  # else an old pose with a new stamp
     if usable.sum() < 3:
         raise RequestRefused(
             "refused.hand_eye.count",
-            f"only {int(usable.sum())} camera poses have a hand pose within {pairing.gap_s:g} s; "
+            f"only {int(usable.sum())} camera poses have a hand pose within {_LONGEST_S:g} s; "
             "check the clocks or give an offset",
         )
     X_BT = interpolated(hand, times[usable])
     X_CP = stacks.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
-    chosen = _choose_moments(times[usable], X_BT, X_CP, pairing)
+    chosen = _choose_moments(times[usable], X_BT, X_CP)
     names = tuple(f"t={camera.time_s[usable][k]:.3f}" for k in chosen)
     return pose_pairs(X_BT[chosen], X_CP[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
 
@@ -140,22 +153,22 @@ def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Arr
     return stacks.angle(step[:, :3, :3]) / duration, np.linalg.norm(step[:, :3, 3], axis=-1) / duration
 
 
-def _choose_moments(times: Array, X_BT: Array, X_CP: Array, pairing: PairingOptions) -> NDArray[np.intp]:
+def _choose_moments(times: Array, X_BT: Array, X_CP: Array) -> NDArray[np.intp]:
     """Indices of the moments to use, in order of time."""
     if 1.0 / float(np.median(np.diff(times))) < _RECORDING_HZ:
         return np.arange(len(times))
     spin_h, move_h = _speeds(times, X_BT)
     spin_c, move_c = _speeds(times, X_CP)
-    limit = math.radians(pairing.spacing_deg)
-    restless = (spin_h + spin_c) / limit + (move_h + move_c) / pairing.spacing_m
+    limit = math.radians(_SPACING_DEG)
+    restless = (spin_h + spin_c) / limit + (move_h + move_c) / _SPACING_M
     taken: list[int] = []
     for k in np.argsort(restless, kind="stable"):
         others = X_BT[taken]
         turned = stacks.angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BT[k, :3, :3])
         moved = np.linalg.norm(others[:, :3, 3] - X_BT[k, :3, 3], axis=-1)
-        if ((turned > limit) | (moved > pairing.spacing_m)).all():
+        if ((turned > limit) | (moved > _SPACING_M)).all():
             taken.append(int(k))
-        if len(taken) == pairing.most:
+        if len(taken) == _MOST:
             break
     return np.array(sorted(taken))
 

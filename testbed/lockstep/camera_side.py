@@ -14,9 +14,7 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import drawing
 from plant_emulator.shell.truth_recorder import TruthRecorder
-from protocol.stereo_frame import FrameHeader, decode_header, encode_header
 from testbed.scenarios.scenario import Settings
-from vision_pc.core.types import Image
 
 
 class Exposure(NamedTuple):
@@ -28,14 +26,6 @@ class Exposure(NamedTuple):
     truth: PlantTruth
     shot: Shot
     motion: CameraMotion | None = None
-
-
-class SentFrame(NamedTuple):
-    """A stereo pair as it arrives; the header's times are on the camera's clock, the simulated time."""
-
-    header: FrameHeader
-    left: Image
-    right: Image
 
 
 class CameraSide:
@@ -67,21 +57,6 @@ class CameraSide:
         if self._renderer is None:
             self._renderer = StereoCamera(self._config, self._scene, self._seed)
         return self._renderer
-
-    def photograph(self, exposure: Exposure) -> SentFrame:
-        """The frame of ``exposure`` with its pictures, through the stream's own header."""
-        config, shot = self._config, exposure.shot
-        header = FrameHeader(
-            frame_id=shot.frame_id,
-            capture_ns=shot.capture_ns,
-            send_ns=exposure.truth.time_ns,
-            width=config.width_px,
-            height=config.height_px,
-            exposure_us=config.exposure_us,
-            flags=0,
-        )
-        left, right = self.renderer.take(shot)
-        return SentFrame(decode_header(encode_header(header)), left, right)
 
 
 class LockstepRecording:

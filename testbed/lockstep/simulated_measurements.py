@@ -9,7 +9,7 @@ rectification, prints and what hides what on one side; poses, covariances, offse
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
 
@@ -17,13 +17,13 @@ import numpy as np
 from pydantic import Field
 
 from foundation.configuration import StrictModel, load
-from plant_emulator.core.camera.exposures import Capture
+from plant_emulator.core.camera.exposures import Shot
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.camera_side import Exposure
-from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
+from testbed.lockstep.simulated_odometry import ModelOdometry, SimulatedFrame, TrackingNoise
 from testbed.lockstep.true_view import TrueView
-from testbed.lockstep.world import VISION_CLOCK_NS, World
+from testbed.lockstep.world import VISION_CLOCK_NS, SimulatedTimeLog, World
 from testbed.scenarios.scenario import Settings
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.camera_feed import CameraFeed
@@ -43,10 +43,8 @@ from vision_pc.core.types import (
     CameraFrame,
     CameraModel,
     FrameObservation,
-    Look,
-    OdometryPose,
+    Image,
     StereoPair,
-    WatchHealth,
     WatchSample,
 )
 
@@ -96,33 +94,56 @@ class LockstepFrames(CameraFeed[F], ABC):
         """Publish the frame of ``exposure``, if it is delivered."""
 
 
+class UndrawnPair(StereoPair):
+    """A pair whose pictures are drawn when somebody looks at them first."""
+
+    draw: Callable[[], StereoPair]
+
+    @classmethod
+    def of(cls, shot: Shot, draw: Callable[[], StereoPair]) -> "UndrawnPair":
+        """The pair of ``shot``, on vision's clock."""
+        nothing = np.empty((0, 0), dtype=np.uint8)
+        pair = cls(nothing, nothing, shot.capture_ns + VISION_CLOCK_NS, shot.frame_id)
+        pair.draw = lru_cache(draw)
+        return pair
+
+    @property
+    def left(self) -> Image:
+        """The left eye's picture."""
+        return self.draw().left
+
+    @property
+    def right(self) -> Image:
+        """The right eye's picture."""
+        return self.draw().right
+
+    def _replace(self, **changed: Any) -> StereoPair:  # type: ignore[override]
+        return self.draw()._replace(**changed)
+
+
 class PixelFrames(LockstepFrames[StereoPair]):
-    """Rendered stereo pairs, rectified where vision's calibration is a raw camera's."""
+    """Stereo pairs, rectified where vision's calibration is a raw camera's; drawn when they are looked at."""
 
     rectifies = True
 
     def __init__(self, world: World) -> None:
         super().__init__(world)
         settings = world.settings.vision.camera
-        told = settings.calibration
-        self._rectified = Rectifier(told) if isinstance(told, StereoCalibration) else None
+        known = settings.calibration
+        self._rectified = Rectifier(known) if isinstance(known, StereoCalibration) else None
         self._pictures = FrozenPictures(settings.frozen_frames)
 
     def exposed(self, exposure: Exposure) -> None:
-        """Render and publish the pair of ``exposure``."""
-        if exposure.shot.delivered:
-            header, left, right = self._world.camera.photograph(exposure)
-            pair = StereoPair(left, right, header.capture_ns + VISION_CLOCK_NS, header.frame_id)
-            frozen = self._pictures.add(left)
-            self.publish(self._rectified(pair) if self._rectified else pair, frozen=frozen)
+        """Publish the pair of ``exposure``."""
+        shot = exposure.shot
+        if shot.delivered:
+            frozen = self._pictures.add(np.array([[shot.shown.frame_id]]))  # one capture is one picture
+            self.publish(UndrawnPair.of(shot, partial(self._drawn, shot)), frozen=frozen)
 
-
-class SimulatedFrame(NamedTuple):
-    """A ``CameraFrame`` without pixels, for a sensor that simulates: ``shown`` is what it would show."""
-
-    shown: Capture
-    capture_ns: int
-    frame_id: int
+    def _drawn(self, shot: Shot) -> StereoPair:
+        left, right = self._world.camera.renderer.take(shot)
+        pair = StereoPair(left, right, shot.capture_ns + VISION_CLOCK_NS, shot.frame_id)
+        return self._rectified(pair) if self._rectified else pair
 
 
 class SimulatedFrames(LockstepFrames[SimulatedFrame]):
@@ -138,35 +159,17 @@ class SimulatedFrames(LockstepFrames[SimulatedFrame]):
 SightMaker = Callable[[World], Sight]
 
 
-class RunRecord:
-    """Implements ``vision_pc.application.ports.EyesRecord``: looks and watches in the run's log."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-
-    def pictured(self, frame: CameraFrame, observation: FrameObservation) -> None:
-        """Do nothing: pictures are kept by those who ask for them."""
-
-    def looked(self, look: Look) -> None:
-        """Write what was seen."""
-        self._world.log.add(self._world.time_ns, "look", X_CM=look.X_CM, X_CO=look.X_CO, frames=look.frames)
-
-    def watched(self, health: WatchHealth) -> None:
-        """Write what the watch missed."""
-        self._world.log.add(self._world.time_ns, "watch", health=health)
-
-
 def camera_eyes(world: World) -> CameraEyes:
     """Eyes on rendered pictures."""
     runtime = Runtime(world.clock, world.clock, world.clock)
-    return CameraEyes(PixelFrames(world), world.link, world.settings.vision, runtime, RunRecord(world))
+    return CameraEyes(PixelFrames(world), world.link, world.settings.vision, runtime, SimulatedTimeLog(world))
 
 
 def eyes_with(world: World, sight: Sight) -> FrameEyes[Any]:
     """Eyes that look with ``sight``."""
     runtime = Runtime(world.clock, world.clock, world.clock)
     look = world.settings.vision.look
-    return FrameEyes(sight.frames, sight.sensor, world.link, look, runtime, RunRecord(world))
+    return FrameEyes(sight.frames, sight.sensor, world.link, look, runtime, SimulatedTimeLog(world))
 
 
 _STREAM = 0x65796573  # the model's own random numbers
@@ -253,18 +256,16 @@ class SimulatedSensor:
         """What the samples of a watch say of the camera."""
         return fitted_errors(samples, self.camera, self._config.markers)
 
-    def odometry(self, previous: FrameObservation | None) -> "FrameOdometry":
+    def odometry(self, previous: FrameObservation | None) -> ModelOdometry:
         """Odometry that begins with the next frame, for a camera as ``previous`` has it."""
         config = self._config
-        return FrameOdometry(
-            ModelOdometry(
-                as_believed(self.camera, previous),
-                config.odometry,
-                config.markers.tool,
-                self._model.tracking,
-                self._view,
-                self._rng,
-            )
+        return ModelOdometry(
+            as_believed(self.camera, previous),
+            config.odometry,
+            config.markers.tool,
+            self._model.tracking,
+            self._view,
+            self._rng,
         )
 
     def _misses(self) -> bool:
@@ -286,23 +287,3 @@ class SimulatedSensor:
 @lru_cache(maxsize=4096)
 def _standard_normal(*seed: int) -> Array:
     return np.random.default_rng(seed).standard_normal(2)
-
-
-class FrameOdometry:
-    """``ModelOdometry`` as a watch uses it: given frames, it takes what they would show."""
-
-    def __init__(self, odometry: ModelOdometry) -> None:
-        self._odometry = odometry
-
-    @property
-    def last_loss(self) -> str | None:
-        """Why the last frame was lost, None if it was not."""
-        return self._odometry.last_loss
-
-    def process(
-        self, frame: SimulatedFrame, X_CM: Array | None = None, X_BT: Array | None = None
-    ) -> OdometryPose | None:
-        """The camera's pose at ``frame``, None when it is lost; nothing moves before it, so ``X_BT`` is not
-        asked.
-        """
-        return self._odometry.process(frame.shown, X_CM, frame.capture_ns, frame.frame_id)

@@ -25,6 +25,14 @@ _NO_SCALE = 1e-9
 _TOOL_MOVED = 2e-3  # m or rad
 
 
+class SimulatedFrame(NamedTuple):
+    """A ``CameraFrame`` without pixels, for a sensor that simulates: ``shown`` is what it would show."""
+
+    shown: Capture
+    capture_ns: int
+    frame_id: int
+
+
 class TrackingNoise(StrictModel):
     """What pictures do to tracked points of the wall.
 
@@ -65,7 +73,7 @@ class _InView(NamedTuple):
 
 
 class ModelOdometry:
-    """Implements ``vision_pc.core.perception.watch.Odometry``'s ``process`` from what each frame shows.
+    """Implements ``vision_pc.core.perception.watch.Odometry`` from what each frame shows.
 
     ``camera``: as vision believes it to be. C0 is the camera of the first frame. A keyframe is added where
     the points in view become few, as in vision's own odometry: its points inherit the error of its pose,
@@ -97,21 +105,27 @@ class ModelOdometry:
         self._pairs: PointPairs | None = None
         self.last_loss: str | None = None
 
-    def process(self, shown: Capture, X_CM: Array | None, time_ns: int, number: int) -> OdometryPose | None:
-        """The camera's pose in C0, or None when it is lost; then ``last_loss`` names the cause."""
+    def process(
+        self, frame: SimulatedFrame, X_CM: Array | None = None, X_BT: Array | None = None
+    ) -> OdometryPose | None:
+        """The camera's pose in C0, or None when it is lost; then ``last_loss`` names the cause.
+
+        Nothing moves before the camera, so ``X_BT`` is not used.
+        """
         self._mask(X_CM)
         lost = self._rng.random() < self._noise.lost_share
-        pose = None if lost else self._localise(shown, time_ns, number)
+        pose = None if lost else self._localise(frame)
         self.last_loss = "too_few_points" if pose is None else None
         return pose
 
-    def _localise(self, shown: Capture, time_ns: int, number: int) -> OdometryPose | None:
+    def _localise(self, frame: SimulatedFrame) -> OdometryPose | None:
+        shown = frame.shown
         if not self._keyframes:
             points = self._new_keyframe(shown, np.zeros(0, dtype=np.int64))
             if points < MINIMUM_INLIERS:
                 self._keyframes.clear()
                 return None
-            return self._pose(np.zeros((6, 6)), time_ns, number, points)
+            return self._pose(np.zeros((6, 6)), frame, points)
         view = self._in_view(shown)
         best = max((view.of_keyframe(ids) for ids in self._keyframes), key=lambda seen: len(seen.ids))
         if len(best.ids) < MINIMUM_INLIERS:
@@ -119,7 +133,7 @@ class ModelOdometry:
         covariance = self._solve(best)
         if len(best.ids) < self._settings.keyframe_overlap * best.of:
             self._new_keyframe(shown, best.ids)
-        return self._pose(covariance, time_ns, number, len(best.ids))
+        return self._pose(covariance, frame, len(best.ids))
 
     def _mask(self, X_CM: Array | None) -> None:
         moved = X_CM is not None and (
@@ -177,6 +191,6 @@ class ModelOdometry:
         self._keyframes.append(np.concatenate([held, np.arange(first, len(self._map))]))
         return len(self._keyframes[-1])
 
-    def _pose(self, covariance: Array, time_ns: int, number: int, points: int) -> OdometryPose:
-        noise_px = self._noise.noise_px
-        return OdometryPose(time_ns, number, self._X_C0C, covariance, points, 1.0, noise_px, self._pairs)
+    def _pose(self, covariance: Array, frame: SimulatedFrame, points: int) -> OdometryPose:
+        stamps, noise_px = (frame.capture_ns, frame.frame_id), self._noise.noise_px
+        return OdometryPose(*stamps, self._X_C0C, covariance, points, 1.0, noise_px, self._pairs)

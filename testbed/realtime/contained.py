@@ -13,10 +13,9 @@ from pathlib import Path
 from types import FrameType
 
 from foundation.incidents import note_incident
-from testbed.realtime.restarts import how_it_ended, oom_kills
+from testbed.realtime.restarts import how_it_ended
 
 RECORDS = "LONGREACH_RECORDS"  # foundation.service_main has it too, and is slow to import
-_VMSTAT = Path("/proc/vmstat")
 _REFUSED = 2  # a service that does not start with what it is given: its line says why, and it is no crash
 _SIGNALLED = 128  # and the signal's number: the exit status, as shells have it
 
@@ -24,7 +23,6 @@ _SIGNALLED = 128  # and the signal's number: the exit status, as shells have it
 def main(argv: list[str]) -> int:
     """The exit status of the service; SIGTERM and SIGINT are passed on to it."""
     module, *arguments = argv
-    killed_before = oom_kills(_VMSTAT.read_text())
     if records := os.environ.get(RECORDS):
         arguments += ["--record-dir", str(free_directory(Path(records) / module))]
     service = subprocess.Popen([sys.executable, "-m", module, *arguments])
@@ -39,8 +37,7 @@ def main(argv: list[str]) -> int:
         signal.signal(number, pass_on)
     status = service.wait()
     if status not in (0, _REFUSED) and not asked_to_end:
-        out_of_memory = oom_kills(_VMSTAT.read_text()) > killed_before
-        how = how_it_ended(status, "its log says why" if status > 0 else "", out_of_memory)
+        how = how_it_ended(status, "its log says why" if status > 0 else "")
         note_incident(module, "service.crashed", f"{module} crashed with {how}; it is started anew")
         print(f"{module} crashed with {how}", file=sys.stderr)
     return status if status >= 0 else _SIGNALLED - status

@@ -9,12 +9,17 @@ from typing import Any, NamedTuple
 
 import psutil
 
+from foundation import clock
 from foundation.configuration import merged
+from foundation.live import LiveSettings
+from foundation.live.wire import SHARED_VARIABLE
+from foundation.recording.beginning import SESSION_VARIABLE
 from foundation.secret_source import read_secret
 from protocol.errors import ConfigurationError
-from testbed.choices import ControllerKind
+from testbed.choices import USUAL_TIMING, ClockKind, ControllerKind, Timing
 from testbed.realtime.child import Service
 from testbed.scenarios.scenario import Overrides, Settings, flattened, load_settings
+from vision_pc.shell.machine_clock import GOES
 
 
 class PortUse(NamedTuple):
@@ -47,9 +52,9 @@ def check_ports(uses: Iterable[PortUse]) -> None:
     """Return when every port is free. Raises ConfigurationError that names those that are not."""
     taken = [(use, why) for use in uses if (why := use.hindrance())]
     if taken:
-        told = "; ".join(f"{use.name} port {use.label} ({use.key}): {why}" for use, why in taken)
+        listed = "; ".join(f"{use.name} port {use.label} ({use.key}): {why}" for use, why in taken)
         raise ConfigurationError(
-            "configuration.port_in_use", f"{told}. End what holds it, or use --free-ports"
+            "configuration.port_in_use", f"{listed}. End what holds it, or use --free-ports"
         )
 
 
@@ -71,14 +76,15 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 
 _TCP = socket.SOCK_STREAM
+CLOCK_PORT = 47200
 PLANT, CONTROLLER, VISION, LIVE = "plant_emulator", "controller", "vision_pc", "live"
 
 
 class Launch(NamedTuple):
     """What is to be started, in order, and where its results will be.
 
-    ``directory`` gets the services' logs, records and statistics. ``foxglove``: the port of the live face
-    that they share; none: there is none.
+    ``directory`` gets the services' logs and records. ``foxglove``: the port of the live face
+    that they share; none: there is none. ``clock``: whose time all go by.
     """
 
     services: tuple[Service, ...]
@@ -86,10 +92,7 @@ class Launch(NamedTuple):
     rest_url: str
     directory: Path
     foxglove: int | None = None
-
-    def statistics(self, service: str) -> Path:
-        """The file in which ``service`` leaves its figures when it ends."""
-        return self.directory / f"{service}.statistics.json"
+    clock: ClockKind = ClockKind.WALL
 
     def rest_token(self) -> bytes | None:
         """The token that lets its holder operate, where vision's REST API wants one.
@@ -123,8 +126,10 @@ def free_ports() -> dict[str, Any]:
 
 
 def _face_overrides(settings: Settings) -> dict[str, Any]:
-    """Overrides by which the console may ask the emulator's face, and knows where it is."""
+    """Overrides by which the console may ask the emulator's face, where that does or shows anything."""
     face, api = settings.plant_service.fault_face, settings.vision.api
+    if not (face.allowed or face.shows_truth):
+        return {}
     own = [f"http://{host}:{api.port}" for host in dict.fromkeys((api.host, "127.0.0.1", "localhost"))]
     return {
         "plant_service": {"fault_face": {"allowed_origins": [*face.allowed_origins, *own]}},
@@ -134,16 +139,30 @@ def _face_overrides(settings: Settings) -> dict[str, Any]:
 
 def ports_in_use(settings: Settings) -> tuple[PortUse, ...]:
     """Every port that the services will listen on."""
-    service, link, api = settings.plant_service, settings.controller.reference_link, settings.vision.api
-    tcp, udp = socket.SOCK_STREAM, socket.SOCK_DGRAM
-    fieldbus, camera, faults = service.modbus, service.camera_stream, service.fault_face
-    return (
-        PortUse("fieldbus", fieldbus.host, fieldbus.port, tcp, "plant_service.modbus.port"),
-        PortUse("camera", camera.host, camera.port, tcp, "plant_service.camera_stream.port"),
-        PortUse("faults", faults.host, faults.port, tcp, "plant_service.fault_face.port"),
-        PortUse("reference", link.host, link.port, udp, "controller.reference_link.port"),
-        PortUse("rest", api.host, api.port, tcp, "vision.api.port"),
+    service, link = settings.plant_service, settings.controller.reference_link
+    udp, api = socket.SOCK_DGRAM, settings.vision.api
+    listeners: tuple[tuple[str, Any, socket.SocketKind, str], ...] = (
+        ("fieldbus", service.modbus, _TCP, "plant_service.modbus.port"),
+        ("camera", service.camera_stream, _TCP, "plant_service.camera_stream.port"),
+        ("faults", service.fault_face, _TCP, "plant_service.fault_face.port"),
+        ("reference", link, udp, "controller.reference_link.port"),
+        ("rest", api, _TCP, "vision.api.port"),
     )
+    return tuple(PortUse(name, at.host, at.port, kind, key) for name, at, kind, key in listeners)
+
+
+def clock_for(settings: Settings) -> ClockKind:
+    """The plant's clock, but the wall's where a camera or the odometry is somebody else's."""
+    vision = settings.vision
+    ours = vision.camera.source == "stream" and vision.odometry_feed.source == "own"
+    return ClockKind.PLANT if ours else ClockKind.WALL
+
+
+def _clock_environment(kind: ClockKind, port: int, timing: Timing) -> dict[str, str]:
+    if kind is ClockKind.WALL:
+        return {clock.CLOCK: ""}
+    pace = f"{timing.pace:g}" if timing.pace else "max"
+    return {clock.CLOCK: f"127.0.0.1:{port}", clock.PACE: pace, GOES: timing.goes}
 
 
 def prepare(
@@ -154,37 +173,34 @@ def prepare(
     any_ports: bool,
     foxglove: int | None = None,
     controller: ControllerKind = ControllerKind.PYTHON,
+    timing: Timing = USUAL_TIMING,
 ) -> Launch:
     """The launch of all three services with ``overrides``, checked before anything is started.
 
     Raises ConfigurationError, also when a port is taken.
     """
-    if any_ports:
-        overrides = merged(overrides, free_ports())
+    overrides = merged(overrides, free_ports() if any_ports else {})
+    overrides = merged(overrides, _face_overrides(load_settings(config_dir, overrides)))
     settings = load_settings(config_dir, overrides)
-    if settings.plant_service.fault_face.allowed or settings.plant_service.fault_face.shows_truth:
-        overrides = merged(overrides, _face_overrides(settings))
-        settings = load_settings(config_dir, overrides)
     if foxglove == 0:
         foxglove = free_port()
-    shared = () if foxglove is None else (PortUse("live", "127.0.0.1", foxglove, _TCP, "--foxglove"),)
+    kind = timing.clock or clock_for(settings)
+    ticks = free_port() if any_ports else CLOCK_PORT
+    beside = {"--foxglove": foxglove, "--clock": ticks if kind is ClockKind.PLANT else None}
+    shared = (PortUse(key[2:], "127.0.0.1", port, _TCP, key) for key, port in beside.items() if port)
     check_ports((*ports_in_use(settings), *shared))
-    api = settings.vision.api
-    session = str(uuid.uuid4())
-    launch = Launch((), settings, f"http://{api.host}:{api.port}", directory, foxglove)
-    feeds = "" if foxglove is None else f"longreach-live-{session}"
-    common = ["--config-dir", str(config_dir)]
-    for setting in flattened(overrides):
-        common += ["--set", setting]
-
-    def service(name: str) -> Service:
-        records = ["--record-dir", str(launch.records(name))]
-        options = (*common, *records, "--statistics", str(launch.statistics(name)))
-        module = controller.module if name == CONTROLLER else name
-        return Service(name, module, options, session, feeds)
-
-    services = tuple(map(service, (PLANT, CONTROLLER, VISION)))
+    session, api = str(uuid.uuid4()), settings.vision.api
+    feeds = f"longreach-live-{session}"
+    environment = {SESSION_VARIABLE: session} | _clock_environment(kind, ticks, timing)
+    environment |= {} if foxglove is None else {SHARED_VARIABLE: feeds}
+    given = [word for setting in flattened(overrides) for word in ("--set", setting)]
+    common = ("--config-dir", str(config_dir), *given)
+    modules = {PLANT: PLANT, CONTROLLER: controller.module, VISION: VISION}
+    services = tuple(
+        Service(name, module, (*common, "--record-dir", str(directory / name)), tuple(environment.items()))
+        for name, module in modules.items()
+    )
     if foxglove is not None:
-        shown_to = ("shared", feeds, str(foxglove), *settings.vision.live.allowed_origins)
-        services += (Service(LIVE, "foundation.live", shown_to, session),)
-    return launch._replace(services=services)
+        shown = LiveSettings(port=foxglove, allowed_origins=settings.vision.live.allowed_origins)
+        services += (Service(LIVE, "foundation.live", (feeds, shown.model_dump_json())),)
+    return Launch(services, settings, f"http://{api.host}:{api.port}", directory, foxglove, kind)

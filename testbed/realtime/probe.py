@@ -14,6 +14,7 @@ import socket
 import struct
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from protocol.datagram import Header, decode, encode
@@ -74,27 +75,28 @@ def probe_rest(host: str, port: int, token_file: Path | None = None) -> str:
     return "controller and camera answer"
 
 
-PROBES = {"fieldbus": probe_fieldbus, "reference": probe_reference}
+PROBES: dict[str, Callable[..., str]] = {
+    "fieldbus": probe_fieldbus,
+    "reference": probe_reference,
+    "rest": probe_rest,
+}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Exit status: 0 when the service answers, 1 when it does not."""
     parser = argparse.ArgumentParser(prog="python -m testbed.realtime.probe", description=__doc__)
-    parser.add_argument("what", choices=(*PROBES, "rest"))
+    parser.add_argument("what", choices=PROBES)
     parser.add_argument("host")
     parser.add_argument("port", type=int)
     parser.add_argument("--token-file", type=Path, help="for rest: the token of a role")
-    arguments = parser.parse_args(argv)
-    where = f"{arguments.what} at {arguments.host}:{arguments.port}"
+    given = parser.parse_args(argv)
+    where, token = f"{given.what} at {given.host}:{given.port}", (given.token_file,)
     try:
-        if arguments.what == "rest":
-            said = probe_rest(arguments.host, arguments.port, arguments.token_file)
-        else:
-            said = PROBES[arguments.what](arguments.host, arguments.port)
+        answer = PROBES[given.what](given.host, given.port, *(token if given.what == "rest" else ()))
     except (Unhealthy, OSError, ValueError) as error:
         print(f"{where}: {error}", file=sys.stderr)
         return 1
-    print(f"{where}: {said}")
+    print(f"{where}: {answer}")
     return 0
 
 

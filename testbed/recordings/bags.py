@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from protocol.errors import ConfigurationError
 from vision_pc.core.perception.pixel_formats import MOSAIC_TO_GREY
+from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 from vision_pc.shell.cameras.picture_files import EyeFiles, eye_files
 
@@ -26,6 +27,7 @@ _GREY: dict[str, int | None] = dict.fromkeys(("mono8", "8UC1"), None) | {
     "rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "8UC3": cv2.COLOR_BGR2GRAY,
     "rgba8": cv2.COLOR_RGBA2GRAY, "bgra8": cv2.COLOR_BGRA2GRAY, **_BAYER,
 }  # fmt: skip
+_ALIKE = 1e-3  # of a focal length, or rad: what rectification leaves
 _FROM_S = 1_000_000_000  # 2001: an earlier stamp is no time of a clock that is set
 
 
@@ -43,7 +45,7 @@ def extract_pictures(
     """Write the pictures of both eyes, named by their stamps, to ``left`` and ``right`` in ``target``.
 
     ``bag``: of ROS 2 (a directory, .mcap or .db3) or ROS 1. ``asked``: topics, None: the one picture topic
-    with the eye in its name. Rectified eyes whose CameraInfo is there get ``calibration.yaml``. ``report``
+    with the eye in its name. Eyes whose CameraInfo is of rectified ones get ``calibration.yaml``. ``report``
     hears the share that is done. Raises ConfigurationError for what is no bag, has not these topics, or whose
     eyes no stamps bring together.
     """
@@ -59,9 +61,10 @@ def extract_pictures(
             if not cv2.imwrite(str(path), grey(message, f"{bag}: {eye} eye")):
                 raise ConfigurationError("configuration.unwritable", f"{path}: cannot be written")
             report((number + 1) / max(total, 1))
-        calibration = _write_calibration(bag, reader, connections, target)
+        calibration, why = _write_calibration(bag, reader, connections, target)
     left, right = connections[0].topic, connections[1].topic
-    return Extracted((left, right), eye_files(target / "left", target / "right", 1.0), calibration)
+    pairs = eye_files(target / "left", target / "right", 1.0)
+    return Extracted((left, right), pairs._replace(notes=(*pairs.notes, *why)), calibration)
 
 
 def grey(message: Any, where: str) -> Image:
@@ -134,9 +137,9 @@ def _stamp_of(bag: Path, eye: str, message: Any) -> str:
 
 def _write_calibration(
     bag: Path, reader: AnyReader, connections: Sequence[Connection], target: Path
-) -> Path | None:
-    """The rectified pair's lens, from both CameraInfo beside the pictures' topics; None where one is not
-    there, or the pictures are raw.
+) -> tuple[Path | None, list[str]]:
+    """The rectified pair's lens, from both CameraInfo beside the pictures' topics; None, and why, where one
+    is not there, or is not of a rectified camera.
     """
     infos: list[Any] = []
     for one in connections:
@@ -144,16 +147,12 @@ def _write_calibration(
         known = [each for each in reader.connections if (each.topic, each.msgtype) == (beside, _INFO)]
         found = next(reader.messages(connections=known), None) if known else None
         if found is None:
-            return None
+            return None, [f"no calibration is written: there is no {beside}"]
         infos.append(reader.deserialize(found[2], _INFO))
     left, right = (np.asarray(info.p, dtype=float).reshape(3, 4) for info in infos)
-    raw = [
-        one.topic
-        for one, info in zip(connections, infos, strict=True)
-        if np.any(info.d) and "rect" not in one.topic
-    ]
-    if raw or not left[0, 0] > 0.0:
-        return None
+    if why := _not_rectified(infos, left, right):
+        P = f"their P has fx {left[0, 0]:g}, fx times the baseline {left[0, 3] - right[0, 3]:g}"
+        return None, [f"no calibration is written: {why}, so that these may be raw pictures; {P}"]
     values = {
         "fx_px": left[0, 0], "fy_px": left[1, 1], "cx_px": left[0, 2], "cy_px": left[1, 2],
         "right_cx_px": right[0, 2], "baseline_m": (left[0, 3] - right[0, 3]) / left[0, 0],
@@ -161,7 +160,25 @@ def _write_calibration(
     sizes = {"width_px": int(infos[0].width), "height_px": int(infos[0].height)}
     path = target / CALIBRATION
     path.write_text(yaml.safe_dump({name: float(value) for name, value in values.items()} | sizes))
-    return path
+    return path, []
+
+
+def _not_rectified(infos: Sequence[Any], left: Array, right: Array) -> str:
+    """What two CameraInfo with projections ``left`` and ``right`` (3, 4) have that no rectified pair has.
+
+    The name of a topic tells nothing: image_proc publishes the raw camera's beside rectified pictures too.
+    """
+    for eye, info, P in zip(EYES, infos, (left, right), strict=True):
+        K, R = (np.asarray(part, dtype=float).reshape(3, 3) for part in (info.k, info.r))
+        if np.any(info.d):
+            return f"CameraInfo of the {eye} eye has distortion"
+        if not np.allclose(R, np.eye(3), atol=_ALIKE):
+            return f"CameraInfo of the {eye} eye turns it (R is not 1)"
+        if not (P[0, 0] > 0.0 and np.allclose(K, P[:, :3], rtol=_ALIKE, atol=_ALIKE)):
+            return f"CameraInfo of the {eye} eye has another K than P"
+    if not np.allclose(left[[0, 1, 1], [0, 1, 2]], right[[0, 1, 1], [0, 1, 2]], rtol=_ALIKE):
+        return "both eyes' P differ in fx, fy or cy"
+    return ""
 
 
 def _bad(words: str) -> ConfigurationError:

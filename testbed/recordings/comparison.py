@@ -1,88 +1,15 @@
 """What was recorded beside what comes out again: to the last bit, or within a limit, and where they part."""
 
-import csv
-import errno
 import math
-import os
-import re
 from collections import Counter
-from collections.abc import Callable, Mapping
-from itertools import count
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from mcap.records import Message
-
-from foundation.recording.decoding import Values, decoder, walk
+from foundation.recording.decoding import Values, decoder
 from foundation.recording.messages import format_of
-from foundation.recording.recovery import contents
 from vision_pc.shell.recording import vision_messages as own
 
-_NO_NAME = re.compile(r"[^\w .+@\-]")  # signs that some file system does not have in names
-_LONGEST_NAME = 200
-TIMES = ("log_time_ns", "publish_time_ns")
-
-
-class TopicTable(NamedTuple):
-    """A table that was written: its ``topic`` and how many ``rows`` it has."""
-
-    topic: str
-    rows: int
-
-
-def table_names(topics: Mapping[int, str]) -> dict[int, str]:
-    """A file's name for each channel, by its topic; no two are alike, also where case does not count."""
-    names: dict[int, str] = {}
-    taken: set[str] = set()
-    for channel, topic in topics.items():
-        stem = _NO_NAME.sub("_", topic.strip("/").replace("/", "_"))[:_LONGEST_NAME].strip(".") or "topic"
-        name = next(
-            name for k in count(1) if (name := stem if k == 1 else f"{stem}_{k}").lower() not in taken
-        )
-        taken.add(name.lower())
-        names[channel] = f"{name}.csv"
-    return names
-
-
-def write_tables(source: Path, directory: Path) -> tuple[dict[str, TopicTable], list[str]]:
-    """Write ``directory``/TOPIC.csv for every topic of ``source``; return tables by file, and topics left out
-    because their encoding is not known or their schema is not whole.
-
-    What a message does not have is an empty cell. Raises FileExistsError, before anything is written, where a
-    file is there.
-    """
-    found = contents(source)
-    names = table_names({channel: topic.name for channel, topic in found.topics.items()})
-    for name in names.values():
-        if (directory / name).exists():
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(directory / name))
-    directory.mkdir(parents=True, exist_ok=True)
-    tables, left_out = {}, []
-    for channel, topic in found.topics.items():
-        decode = decoder(topic.format)
-        if decode is None:
-            left_out.append(topic.name)
-            continue
-        columns: dict[str, None] = {}
-        with source.open("rb") as stream:
-            for record in walk(stream):
-                if isinstance(record, Message) and record.channel_id == channel:
-                    columns |= dict.fromkeys(decode(record.data))
-        path = directory / names[channel]
-        with path.open("x", newline="", encoding="utf-8") as file, source.open("rb") as stream:
-            table = csv.DictWriter(file, [*TIMES, *columns])
-            table.writeheader()
-            for record in walk(stream):
-                if isinstance(record, Message) and record.channel_id == channel:
-                    times = dict(zip(TIMES, (record.log_time, record.publish_time), strict=True))
-                    table.writerow(times | decode(record.data))
-        tables[path.name] = TopicTable(topic.name, found.counts.get(channel, 0))
-    return tables, left_out
-
-
 ALIKE = 1e-9  # of other versions or another processor: m, rad, px
-REFERENCE, OPERATION = "reference", "operation"
-_HAPPENED = {REFERENCE: "sent", OPERATION: "begun"}  # all others are of a frame
 _DECODERS: dict[str, Callable[[bytes], Values]] = {}
 
 
@@ -98,8 +25,7 @@ class Difference(NamedTuple):
 
     def in_words(self) -> str:
         """One line that says it all."""
-        happened = _HAPPENED.get(self.kind, "captured")
-        where = f"{self.kind} {self.number} ({happened} at {self.time_ns * 1e-9:.3f} s): {self.field}"
+        where = f"{self.kind} {self.number} (captured at {self.time_ns * 1e-9:.3f} s): {self.field}"
         return f"{where}: recorded {_as_text(self.recorded)}, replayed {_as_text(self.replayed)}"
 
 
@@ -122,27 +48,16 @@ class ReplayComparison:
         """Whether everything was the same."""
         return self.alike == self.of
 
-    def message(
-        self, kind: str, number: int, recorded: Any, replayed: bytes, time_ns: int | None = None
-    ) -> bool:
-        """Compare a recorded message with the bytes of a replayed one. Return whether they are the same.
-
-        ``time_ns``: when it was; None: it says so itself.
-        """
+    def message(self, kind: str, number: int, recorded: Any, replayed: bytes) -> bool:
+        """Compare a recorded message with the bytes of a replayed one. Return whether they are the same."""
         again = type(recorded).FromString(replayed)
         digests = [getattr(message, "digest", None) for message in (recorded, again)]
         if self.exact and digests[0] is not None and digests[0] == digests[1]:
             return self.same(kind)
-        stamp = _stamp(recorded) if time_ns is None else time_ns
         parted = self._first_difference(_flat(recorded), _flat(again))
         if parted is None and self.exact and digests[0] != digests[1]:
             parted = "digest", digests[0], digests[1]
-        return self.same(kind) if parted is None else self.different(kind, number, stamp, *parted)
-
-    def values(self, kind: str, number: int, time_ns: int, recorded: Values, replayed: Values) -> bool:
-        """Compare values by name. Return whether they are the same."""
-        parted = self._first_difference(recorded, replayed)
-        return self.same(kind) if parted is None else self.different(kind, number, time_ns, *parted)
+        return self.same(kind) if parted is None else self.different(kind, number, _stamp(recorded), *parted)
 
     def _first_difference(self, before: Values, now: Values) -> tuple[str, Any, Any] | None:
         """The first field that is not the same, and both its values."""

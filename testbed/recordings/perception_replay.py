@@ -43,6 +43,9 @@ def pixels_for(recording: RecordedVision, truth: Path | None) -> Pixels:
 
     ``truth``: that recording; None: where `longreach up` leaves it. Raises RecordingUnreadable.
     """
+    if not recording.pictured:
+        why = f"{recording.path.name} is of simulated measurements, which have no pictures"
+        raise RecordingUnreadable("recording.no_pictures", why)
     if truth is None and recording.images == "raw":
         return KeptPixels()
     source = truth or recording.run / "plant_emulator" / "truth.mcap"
@@ -53,22 +56,17 @@ def pixels_for(recording: RecordedVision, truth: Path | None) -> Pixels:
 
 
 class PerceptionReplay:
-    """Takes a recording's messages in their order. ``on_message`` gets each with what came out again.
+    """Takes a recording's messages in their order.
 
-    ``damages``: what of the file could not be read.
+    ``damages``: what of the file could not be read; ``recorded_s``: how long it is.
     """
 
-    def __init__(
-        self,
-        recording: RecordedVision,
-        pixels: Pixels,
-        on_message: Callable[[str, Any, bytes], None] | None = None,
-    ) -> None:
+    def __init__(self, recording: RecordedVision, pixels: Pixels) -> None:
         self.comparison = ReplayComparison(recording.exact)
         self.damages: list[Damage] = []
+        self.recorded_s = 0.0
         self._recording = recording
         self._pixels = pixels
-        self._on_message = on_message
         self._sensor = PixelSensor(recording.config)
         self._pairs: dict[tuple[int, int], StereoPair] = {}
         self._observations: dict[int, FrameObservation] = {}
@@ -78,8 +76,8 @@ class PerceptionReplay:
         self._errors: CameraErrors | None = None
         self._looks = 0
 
-    def run(self, advanced: Callable[[int], None] = lambda _: None) -> ReplayComparison:
-        """Replay all of it; ``advanced`` is told the log time of each message.
+    def run(self) -> ReplayComparison:
+        """Replay all of it.
 
         Raises RecordingUnreadable for a frame without pictures (``recording.missing_frame``).
         """
@@ -90,6 +88,7 @@ class PerceptionReplay:
             topics.ERRORS: self._replay_fit,
             topics.LOOK: self._look,
         }
+        first_ns = 0
         frames: list[Any] = []  # wait for their pictures, which follow them
         for topic, record in messages(self._recording.path, _CLASSES, self.damages):
             if topic in topics.IMAGES:
@@ -102,7 +101,8 @@ class PerceptionReplay:
             while frames:
                 self._frame(frames.pop(0))
             takers[topic](said)
-            advanced(record.log_time)
+            first_ns = first_ns or record.log_time
+            self.recorded_s = 1e-9 * (record.log_time - first_ns)
         return self.comparison
 
     def _image(self, topic: str, data: bytes) -> None:
@@ -118,8 +118,8 @@ class PerceptionReplay:
         wrong = checked(stamp, eyes)
         if wrong:
             eye, before, now = wrong[0]
-            told = (f"CRC-32 of the {eye} eye's pixels", f"{before:#010x}", f"{now:#010x}")
-            self.comparison.different(FRAME, stamp.frame_id, stamp.capture_ns, *told)
+            difference = (f"CRC-32 of the {eye} eye's pixels", f"{before:#010x}", f"{now:#010x}")
+            self.comparison.different(FRAME, stamp.frame_id, stamp.capture_ns, *difference)
         else:
             self.comparison.same(FRAME)
         self._pairs[stamp.frame_id, stamp.capture_ns] = StereoPair(*eyes, stamp.capture_ns, stamp.frame_id)
@@ -133,7 +133,7 @@ class PerceptionReplay:
         again = own.observation_bytes(own.NumberedObservation(said.number, before, said.corrected, found))
         self._observations[said.number] = self._at[found.capture_ns] = found
         self._observations.pop(said.number - _KEPT_OBSERVATIONS, None)
-        self._compare(OBSERVATION, said.frame_id, said, again)
+        self.comparison.message(OBSERVATION, said.frame_id, said, again)
 
     def _odometry_start(self, said: Any) -> None:
         self._odometry = {said.odometry: self._sensor.own_odometry(self._replayed_observation(said))}
@@ -153,24 +153,24 @@ class PerceptionReplay:
             said.odometry,
             pair.capture_ns,
             pair.frame_id,
-            own.ToldWithFrame(X_CM is not None, X_BT),
+            own.GivenWithFrame(X_CM is not None, X_BT),
             found or odometry.last_loss or "lost",
         )
-        self._compare(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))
+        self.comparison.message(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))
 
     def _replay_fit(self, said: Any) -> None:
         captures = tuple(said.captures_ns)
         found = self._sensor.errors([self._sample(capture_ns) for capture_ns in captures])
         self._errors = found or self._errors
-        self._compare(ERRORS, len(captures), said, own.fitted_bytes(own.Fitted(captures, found)))
+        self.comparison.message(ERRORS, len(captures), said, own.fitted_bytes(own.Fitted(captures, found)))
 
     def _look(self, said: Any) -> None:
         self._looks += 1
         numbers = tuple(said.observations)
         seen = [self._observations[number] for number in numbers if number in self._observations]
         if len(seen) < len(numbers):
-            told = f"{len(numbers) - len(seen)} of {len(numbers)} observations are not in the recording"
-            self.comparison.different(LOOK, self._looks, said.time_ns, "observations", told, "not made")
+            difference = f"{len(numbers) - len(seen)} of {len(numbers)} observations are not in the recording"
+            self.comparison.different(LOOK, self._looks, said.time_ns, "observations", difference, "not made")
             return
         X_BT = np.reshape(said.X_BT, (4, 4))
         try:
@@ -178,12 +178,7 @@ class PerceptionReplay:
         except MeasurementFailed as error:
             self.comparison.different(LOOK, self._looks, said.time_ns, "outcome", "a look", error.cause)
             return
-        self._compare(LOOK, self._looks, said, own.look_bytes(own.CombinedLook(look, numbers)))
-
-    def _compare(self, kind: str, number: int, recorded: Any, replayed: bytes) -> None:
-        self.comparison.message(kind, number, recorded, replayed)
-        if self._on_message is not None:
-            self._on_message(kind, recorded, replayed)
+        self.comparison.message(LOOK, self._looks, said, own.look_bytes(own.CombinedLook(look, numbers)))
 
     def _pair(self, said: Any) -> StereoPair:
         found = self._pairs.get((said.frame_id, said.capture_ns))

@@ -5,15 +5,21 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from string import Formatter
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.segment import Segment
 from rich.table import Table
 from typer import Exit
@@ -22,7 +28,6 @@ from protocol.errors import ConfigurationError
 
 LINE_S = 60.0
 """How often progress is told where there is no terminal to draw a bar in."""
-_UNKNOWN_S = 2.0  # before which a pace says nothing
 _PLAIN_WIDTH = 130  # of a pipe or file, which has no width of its own
 Columns = Mapping[str, str | Callable[[Any], object]]
 """Of ``listed``: heading → how its cells are made."""
@@ -140,16 +145,6 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
     return made
 
 
-def words(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
-    """A table of words: all to the left, long ones over several lines."""
-    made = Table(title=title, title_justify="left")
-    for column in columns:
-        made.add_column(column, overflow="fold")
-    for row in rows:
-        made.add_row(*(str(cell) for cell in row))
-    return made
-
-
 def listed(title: str, columns: Columns, rows: Iterable[Any]) -> Table:
     """A table with a line for each typed row.
 
@@ -169,55 +164,33 @@ def _cell(row: Any, made: str | Callable[[Any], object]) -> object:
 class Bar:
     """One line of a progress display; where there is no terminal, a line of text every ``LINE_S`` seconds."""
 
-    def __init__(self, progress: Progress, task: TaskID, label: str) -> None:
-        self._progress = progress
-        self._task = task
-        self._label = label
-        self._began_s = self._line_s = time.monotonic()
+    def __init__(self, progress: Progress, label: str, quiet: bool) -> None:
+        self._progress, self._label, self._quiet = progress, label, quiet
+        self.task = progress.add_task(label, total=1.0, note="")
+        self._line_s = time.monotonic()
 
     def update(self, fraction: float, note: str = "") -> None:
-        """Show ``fraction`` (0…1) with the time left, by the time it took so far, and ``note`` beside it."""
+        """Show ``fraction`` (0…1) with the time left, and ``note`` beside it."""
         done, now_s = min(max(fraction, 0.0), 1.0), time.monotonic()
-        left = time_left(done, now_s - self._began_s)
-        self._progress.update(self._task, completed=done, left=left, note=note)
-        if self._progress.disable and now_s - self._line_s >= LINE_S:
+        self._progress.update(self.task, completed=done, note=note)
+        if self._progress.disable and not self._quiet and now_s - self._line_s >= LINE_S:
             self._line_s = now_s
-            told = ", ".join(filter(None, (f"{100.0 * done:.0f} %", left, note)))
-            err.print(f"{self._label}: {told}", highlight=False, soft_wrap=True, markup=False)
-
-
-def time_left(fraction: float, elapsed_s: float) -> str:
-    """The time that the rest will take at the pace so far, in words; nothing before anything is known."""
-    if not 0.0 < fraction < 1.0 or elapsed_s < _UNKNOWN_S:
-        return ""
-    minutes, seconds = divmod(round(elapsed_s * (1.0 - fraction) / fraction), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d} left" if hours else f"{minutes}:{seconds:02d} left"
+            text = ", ".join(filter(None, (f"{100.0 * done:.0f} %", note)))
+            err.print(f"{self._label}: {text}", highlight=False, soft_wrap=True, markup=False)
 
 
 class Bars:
     """Progress bars, one for each step of a long piece of work."""
 
     def __init__(self, progress: Progress, quiet: bool) -> None:
-        self._progress = progress
-        self._quiet = quiet
+        self._progress, self._quiet = progress, quiet
 
     @contextmanager
     def step(self, label: str) -> Iterator[Bar]:
         """A bar for one step; it is full when the block ends well, and stays where it was when it fails."""
-        task = self._progress.add_task(label, total=1.0, note="", left="")
-        yield QuietBar() if self._quiet else Bar(self._progress, task, label)
-        self._progress.update(task, completed=1.0, left="")
-
-
-class QuietBar(Bar):
-    """A bar that nobody sees."""
-
-    def __init__(self) -> None:
-        pass
-
-    def update(self, fraction: float, note: str = "") -> None:
-        """Show nothing."""
+        bar = Bar(self._progress, label, self._quiet)
+        yield bar
+        self._progress.update(bar.task, completed=1.0)
 
 
 @contextmanager
@@ -230,7 +203,7 @@ def bars(*, quiet: bool = False) -> Iterator[Bars]:
         BarColumn(bar_width=28),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
-        TextColumn("{task.fields[left]}"),
+        TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", style="dim"),
     )
     with Progress(*columns, console=err, disable=quiet or not sys.stderr.isatty()) as progress:
@@ -240,49 +213,12 @@ def bars(*, quiet: bool = False) -> Iterator[Bars]:
 INTERRUPTED = 130  # as a shell has it for SIGINT
 
 
-class Interrupted(NamedTuple):
-    """One row: what is kept, what the same command does after it, and the exit status."""
-
-    kept: str
-    again: str = "begins anew"
-    status: int = INTERRUPTED
-
-
-_NOTHING = Interrupted("nothing")
-_ROWS = Interrupted("every finished row, in `rows.csv`", "goes on from there")
-_RUN = Interrupted("logs and recordings, in the run's directory", "begins anew, in another directory")
-_SERVED = Interrupted("everything: Ctrl-C is how it is ended", status=0)
-LONG: Mapping[str, Interrupted] = MappingProxyType(
-    {
-        "demo": _RUN,
-        "up": _SERVED,
-        "experiment": _ROWS,
-        "commission": Interrupted("every finished joint, in the session's directory", "goes on from there"),
-        "replay": _NOTHING,
-        "camera calibrate": _NOTHING,
-        "camera emulate": _NOTHING,
-        "camera serve": _SERVED,
-        "hand-eye session run": Interrupted("every sample taken, in the rig's session", "goes on from there"),
-        "odometry": _NOTHING,
-        "conformance": _NOTHING,
-        "recording": Interrupted("nothing half made"),
-        "plc": Interrupted("every row until then", status=0),
-    }
-)
-
-
-def long_command(words: Sequence[str]) -> str | None:
-    """The long command that ``words``, options among them, begin with; None: one too short to be told of."""
-    found = [name for name in LONG if list(words[: name.count(" ") + 1]) == name.split()]
-    return max(found, key=len, default=None)
-
-
 @contextmanager
-def kept_on_ctrl_c(told: Callable[[], str]) -> Iterator[None]:
+def kept_on_ctrl_c(text: Callable[[], str]) -> Iterator[None]:
     """Where Ctrl-C ends the block, ``told`` is asked what is kept, and it is said; empty: nothing is."""
     try:
         yield
     except KeyboardInterrupt:
-        if kept := told():
+        if kept := text():
             err.print(kept, markup=False, highlight=False, soft_wrap=True)
         raise

@@ -6,8 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.core.positioning.expected_end import ExpectedEnd
-
 Array = NDArray[np.float64]
 
 LIMIT_M = 0.005
@@ -25,13 +23,18 @@ class Errors(NamedTuple):
         """Whether x and y are both inside ``limit_m``."""
         return bool(np.all(np.abs(self.p_m[:2]) <= limit_m))
 
+    @property
+    def values(self) -> tuple[float, ...]:
+        """x, y, z in mm and the angle in degrees."""
+        return (*(1e3 * self.p_m).tolist(), float(np.degrees(self.angle_rad)))
+
 
 class Stage(NamedTuple):
     """The arm at rest after one step.
 
     ``look`` counts look-then-moves (0: another step). ``image`` is what a look measured there, None where it
     failed; ``true`` is the plant's own truth at the same time; ``note`` what the step itself reported;
-    ``told`` where its drive was expected to end, if that was told before.
+    ``predicted`` where its drive was expected to end, as the REST API has it, if that was predicted.
     """
 
     label: str
@@ -40,14 +43,11 @@ class Stage(NamedTuple):
     image: Errors | None
     true: Errors
     note: str = ""
-    told: ExpectedEnd | None = None
+    predicted: Mapping[str, Any] | None = None
 
 
 class Outcome(NamedTuple):
-    """One run of which ``looks`` look-then-moves were wanted; ``stages`` as far as it came.
-
-    ``every``: each of them had a goal of its own, and counts.
-    """
+    """One run of which ``looks`` look-then-moves were wanted; ``stages`` as far as it came."""
 
     mode: str
     scenario: str
@@ -57,7 +57,6 @@ class Outcome(NamedTuple):
     wall_s: float
     simulated_s: float
     details: Mapping[str, Any]
-    every: bool = False
 
     def after_look(self, number: int) -> Stage | None:
         """The stage after look ``number`` (1, 2, …), None when the run did not get there."""
@@ -65,42 +64,25 @@ class Outcome(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the true error in x and y is inside the limit after the last look, or after every one."""
-        numbers = range(1, self.looks + 1) if self.every else (self.looks,)
-        ends = [self.after_look(number) for number in numbers]
-        return all(end is not None and end.true.within(LIMIT_M) for end in ends)
+        """Whether the true error in x and y is inside the limit after the last look."""
+        last = self.after_look(self.looks)
+        return last is not None and last.true.within(LIMIT_M)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict as one sentence."""
+        last = self.after_look(self.looks)
+        if last is None:
+            reached = self.stages[-1].label if self.stages else "nothing"
+            return f"look {self.looks} was not reached; the last stage was: {reached}"
+        limit = f"{'within' if self.passed else 'NOT within'} ±{1e3 * LIMIT_M:.0f} mm"
+        x, y, z, _ = last.true.values
+        return (
+            f"true error after {last.label}: x {x:+.2f} mm, y {y:+.2f} mm (z {z:+.2f} mm), {limit} in x and y"
+        )
 
 
-def verdict(outcome: Outcome) -> str:
-    """The verdict as one sentence."""
-    last = outcome.after_look(outcome.looks)
-    if last is None:
-        reached = outcome.stages[-1].label if outcome.stages else "nothing"
-        return f"look {outcome.looks} was not reached; the last stage was: {reached}"
-    word = "within" if outcome.passed else "NOT within"
-    if outcome.every:
-        ends = [stage for stage in outcome.stages if stage.look]
-        errors = [f"{1e3 * end.true.p_m[0]:+.2f}/{1e3 * end.true.p_m[1]:+.2f}" for end in ends]
-        where = f"true errors x/y at {len(ends)} targets, mm: {', '.join(errors)}"
-        return f"{where}; {word} ±{1e3 * LIMIT_M:.0f} mm"
-    x, y, z = 1e3 * last.true.p_m
-    return (
-        f"true error after {last.label}: x {x:+.2f} mm, y {y:+.2f} mm (z {z:+.2f} mm), "
-        f"{word} ±{1e3 * LIMIT_M:.0f} mm in x and y"
-    )
-
-
-HEADINGS = (
-    "after",
-    "image x",
-    "image y",
-    "image z",
-    "image angle",
-    "true x",
-    "true y",
-    "true z",
-    "true angle",
-)
+HEADINGS = ("after", *(f"{whose} {what}" for whose in ("image", "true") for what in ("x", "y", "z", "angle")))
 
 
 def rows(stages: Sequence[Stage]) -> list[tuple[str, ...]]:
@@ -111,37 +93,20 @@ def rows(stages: Sequence[Stage]) -> list[tuple[str, ...]]:
 def _cells(errors: Errors | None) -> tuple[str, ...]:
     if errors is None:
         return ("–",) * 4
-    return (*(f"{1e3 * value:+.2f}" for value in errors.p_m), f"{np.degrees(errors.angle_rad):.2f}")
-
-
-def _figures(errors: Errors | None) -> dict[str, float] | None:
-    if errors is None:
-        return None
-    x, y, z = (1e3 * float(value) for value in errors.p_m)
-    return {"x_mm": x, "y_mm": y, "z_mm": z, "angle_deg": float(np.degrees(errors.angle_rad))}
+    *lengths, angle = errors.values
+    return (*(f"{value:+.2f}" for value in lengths), f"{angle:.2f}")
 
 
 def figures(outcome: Outcome) -> dict[str, Any]:
     """All that is printed about ``outcome``, for a JSON file."""
-    return {
-        "mode": outcome.mode,
-        "scenario": outcome.scenario,
-        "seed": outcome.seed,
-        "looks": outcome.looks,
-        "limit_mm": 1e3 * LIMIT_M,
-        "passed": outcome.passed,
-        "verdict": verdict(outcome),
-        "wall_s": outcome.wall_s,
-        "simulated_s": outcome.simulated_s,
-        "stages": [
-            {
-                "label": stage.label,
-                "time_s": stage.time_s,
-                "image": _figures(stage.image),
-                "true": _figures(stage.true),
-                "note": stage.note,
-            }
-            for stage in outcome.stages
-        ],
-        **outcome.details,
-    }
+    names = ("x_mm", "y_mm", "z_mm", "angle_deg")
+    known = outcome._asdict()
+    stages = [
+        {"label": stage.label, "time_s": stage.time_s, "note": stage.note}
+        | {"image": stage.image and dict(zip(names, stage.image.values, strict=True))}
+        | {"true": dict(zip(names, stage.true.values, strict=True))}
+        for stage in outcome.stages
+    ]
+    numbers = {key: known[key] for key in ("mode", "scenario", "seed", "looks", "wall_s", "simulated_s")}
+    judged = {"limit_mm": 1e3 * LIMIT_M, "passed": outcome.passed, "verdict": outcome.verdict}
+    return numbers | judged | {"stages": stages} | dict(outcome.details)

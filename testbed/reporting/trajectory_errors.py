@@ -2,25 +2,23 @@
 them.
 """
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from foundation.foreign_text import read_text
 from protocol.errors import ConfigurationError
-from testbed.reporting.console import out
 from vision_pc.core import se3
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
-from vision_pc.shell.cameras.capture_times import unix_seconds
 
 _FEWEST = 3
 _PIECES = 10  # drift is over pieces of 10 m, or of a tenth of a shorter way
 _PIECE_M = 10.0
 _LEAST_WAY_M = 0.05
+_MISREAD = 5.0  # [D] times less error from pose to pose: no odometry does that, another reading does
 
 
 class TrajectoryErrors(NamedTuple):
@@ -36,30 +34,12 @@ class TrajectoryErrors(NamedTuple):
     scale: float
     drift_percent: float | None
 
-
-def read_tum(path: Path) -> tuple[Array, Array]:
-    """Times (n,) s, rising, and poses (n, 4, 4) of a TUM file, Unix times of any unit. Raises
-    ConfigurationError.
-    """
-    try:
-        rows = np.loadtxt(read_text(path).splitlines(), ndmin=2)
-    except OSError as error:
-        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
-    except ValueError as error:
-        raise ConfigurationError("configuration.bad_trajectory", f"{path}: {error}") from error
-    if rows.shape[1] != 8 or not np.isfinite(rows).all() or (np.linalg.norm(rows[:, 4:], axis=1) < 0.5).any():
-        raise ConfigurationError(
-            "configuration.bad_trajectory",
-            f"{path}: lines of t x y z qx qy qz qw are wanted, {rows.shape[1]} columns were found",
+    def __str__(self) -> str:
+        drift = "" if self.drift_percent is None else f", drift {self.drift_percent:.2f} %"
+        return (
+            f"{self.poses} poses over {self.length_m:.2f} m: ATE {self.ate_mm:.2f} mm,"
+            f" RPE {self.rpe_mm:.2f} mm {self.rpe_deg:.4f} deg a pair, scale {self.scale:.4f}{drift}"
         )
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, 3] = rows[:, 1:4]
-    poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:]).as_matrix()
-    times_s, unit = unix_seconds(rows[:, 0])
-    if unit != "seconds":
-        out.print(f"{path}: its times are taken for {unit}", highlight=False, soft_wrap=True)
-    return times_s, poses
 
 
 def trajectory_errors(
@@ -67,7 +47,8 @@ def trajectory_errors(
 ) -> TrajectoryErrors:
     """The errors of ``found`` against the ``true`` poses nearest in time, to half a picture's period.
 
-    ``true`` are of the same left camera, in any world. Raises ConfigurationError where fewer than three fit.
+    ``true`` are of the same left camera, in any world. Raises ConfigurationError where fewer than three fit,
+    and for a truth that fits in another reading by far.
     """
     mine_s = np.array([pose.capture_ns / 1e9 for pose in found])
     nearest = np.abs(mine_s[:, None] - times_s[None]).argmin(axis=1)
@@ -80,8 +61,27 @@ def trajectory_errors(
             f"{name}: {len(chosen)} poses within half a period of a pair ({_FEWEST} are wanted): the clocks"
             " do not overlap",
         )
-    estimates = np.stack([found[k].X_C0C for k in chosen])
-    return _errors(estimates, true[nearest[chosen]])
+    estimates, truth = np.stack([found[k].X_C0C for k in chosen]), true[nearest[chosen]]
+    errors = _errors(estimates, truth)
+    for words, otherwise in _readings(truth):
+        if errors.rpe_mm > _MISREAD * (fits := _errors(estimates, otherwise)).rpe_mm:
+            comparison = f"RPE {errors.rpe_mm:.2f} mm as given, {fits.rpe_mm:.2f} mm if its {words}"
+            raise ConfigurationError("configuration.bad_trajectory", f"{name}: {comparison}: write it so")
+    return errors
+
+
+def _readings(true: Array) -> Iterator[tuple[str, Array]]:
+    """The truth as other programs write it: another order of the quaternion, poses inverted, other axes."""
+    q = stacks.quaternion_from_rotation(true[:, :3, :3])
+    for words, step in (("quaternions are w first", -1), ("quaternions are w last", 1)):
+        R = stacks.rotation_from_quaternion(np.roll(q, step, axis=-1))
+        yield words, stacks.transform(R, true[:, :3, 3])
+    yield "poses are of the world in the camera", stacks.inverse(true)
+    for turn in Rotation.create_group("O").as_matrix().round():
+        axes = " ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in turn.T)
+        if axes != "x y z":
+            R = true[:, :3, :3] @ turn
+            yield f"rotations are of a camera with axes {axes}", stacks.transform(R, true[:, :3, 3])
 
 
 def errors_of_maps(
@@ -91,15 +91,15 @@ def errors_of_maps(
 
     Raises ConfigurationError where that is so of every map.
     """
-    found: dict[int, TrajectoryErrors | None] = {}
-    why: ConfigurationError | None = None
+    found: dict[int, TrajectoryErrors | None] = dict.fromkeys(maps)
+    refusals = []
     for number, poses in maps.items():
         try:
             found[number] = trajectory_errors(poses, times_s, true, name)
         except ConfigurationError as error:
-            found[number], why = None, why or error
-    if why is not None and not any(found.values()):
-        raise why
+            refusals.append(error)
+    if len(refusals) == len(maps):
+        raise refusals[0]
     return found
 
 
@@ -131,13 +131,12 @@ def _drift(estimates: Array, true: Array, travelled: Array) -> float | None:
     if travelled[-1] < _LEAST_WAY_M:
         return None
     piece = min(_PIECE_M, float(travelled[-1]) / _PIECES)
-    shares = []
-    for i in range(len(true)):
-        j = int(np.searchsorted(travelled, travelled[i] + piece))
-        if j < len(true):
-            shares.append(
-                np.linalg.norm(_relative(estimates, true, i, j)[:3]) / (travelled[j] - travelled[i])
-            )
+    ends = np.searchsorted(travelled, travelled + piece)
+    shares = [
+        np.linalg.norm(_relative(estimates, true, i, j)[:3]) / (travelled[j] - travelled[i])
+        for i, j in enumerate(ends)
+        if j < len(true)
+    ]
     return 100.0 * float(np.mean(shares))
 
 

@@ -1,15 +1,13 @@
-"""Every key of the configuration files: value, unit, what is allowed, what the file says, who sets it."""
+"""Every key of the configuration files: value, what is allowed, what the file says."""
 
 import json
 from collections.abc import Iterator, Mapping
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
-from foundation.configuration import layers, load, read_yaml
-from testbed.scenarios.scenario import MODELS
+from foundation.configuration import read_yaml
 
 _NONE = object()  # null is a value
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
@@ -23,73 +21,6 @@ class Key(NamedTuple):
     path: str
     value: str
     comment: str
-
-
-class DescribedKey(NamedTuple):
-    """A key as ``--set`` takes it: shipped value, unit, what is allowed, what the file says, which overlays
-    of the same directory (arms, scenarios) set or draw it.
-    """
-
-    key: str
-    value: str
-    unit: str
-    allowed: str
-    comment: str
-    set_by: tuple[str, ...]
-
-
-_UNITS = {
-    "m": "m", "mm": "mm", "px": "px", "s": "s", "ms": "ms", "ns": "ns", "hz": "Hz", "rad": "rad",
-    "mrad": "mrad", "deg": "°", "kg": "kg", "bar": "bar", "c": "°C", "k": "K", "bytes": "bytes", "n": "N",
-}  # fmt: skip
-_PER = {"s": "1/s", "m": "1/m", "k": "1/K", "bar": "1/bar"}
-
-
-def described_keys(config_dir: Path, pattern: str = "") -> list[DescribedKey]:
-    """The keys of ``config_dir`` whose name holds ``pattern``, or matches it where it has a ``*``.
-
-    Those that a file leaves out come with their default. Raises ConfigurationError for a file that is absent
-    or that no service would start with.
-    """
-    setters = _setters(config_dir)
-    found = []
-    for name, model in MODELS.items():
-        schema = model.model_json_schema()
-        load(model, config_dir / f"{name}.yaml")
-        files = (layer / f"{name}.yaml" for layer in layers(config_dir))
-        written = list({key.path: key for file in files if file.is_file() for key in keys(file)}.values())
-        absent = [Key(*one, "") for one in left_out(schema, {key.path for key in written})]
-        for key in (*written, *absent):
-            path = f"{name}.{key.path}"
-            if not (fnmatchcase(path, pattern) if "*" in pattern else pattern in path):
-                continue
-            limits = allowed(schema, key.path)
-            found.append(
-                DescribedKey(path, key.value, unit(path), limits, key.comment, setters.get(path, ()))
-            )
-    return found
-
-
-def unit(path: str) -> str:
-    """The unit that a key's name ends in; empty: none."""
-    *before, last = path.rpartition(".")[2].split("_")
-    if (before and before[-1] == "per") or last in ("2", "3"):
-        return _PER.get(last, "")
-    return _UNITS.get(last, "") if before else ""
-
-
-def _setters(config_dir: Path) -> dict[str, tuple[str, ...]]:
-    """Key → the files below ``config_dir`` that lay something over it."""
-    setters: dict[str, list[str]] = {}
-    for file in sorted(config_dir.rglob("*.yaml")):
-        name = str(file.relative_to(config_dir))
-        if name.removesuffix(".yaml") in MODELS:
-            continue
-        for key in keys(file):
-            path = key.path.removeprefix("draws.").removeprefix("overrides.")
-            top = path if file.parent.name == "scenarios" else f"{file.stem.partition('_')[0]}.{path}"
-            setters.setdefault(top, []).append(name)
-    return {path: tuple(names) for path, names in setters.items()}
 
 
 def keys(file: Path) -> Iterator[Key]:
@@ -125,27 +56,19 @@ def _comment(lines: list[str], line: int) -> str:
 
 def allowed(schema: Schema, path: str) -> str:
     """What the model takes at ``path``: kind and limits, as far as they stand in its schema."""
-    found = _at(schema, path)
-    return _in_words(schema, found) if found else ""
-
-
-def _at(schema: Schema, path: str) -> Schema:
     here: Schema = schema
     for name in path.split("."):
-        here = _branch(schema, here, name)
-    return here
-
-
-def _branch(root: Schema, here: Schema, name: str) -> Schema:
-    here = _resolve(root, here)
-    for branch in (here, *(_resolve(root, one) for one in (*here.get("anyOf", ()), *here.get("oneOf", ())))):
-        if name in branch.get("properties", {}):
-            found: Schema = branch["properties"][name]
-            return found
-        own = branch.get("additionalProperties")  # names of the user's own
-        if isinstance(own, dict):
-            return own
-    return {}
+        here = _resolve(schema, here)
+        branches = [
+            here,
+            *(_resolve(schema, one) for one in (*here.get("anyOf", ()), *here.get("oneOf", ()))),
+        ]
+        # A name is a property, or one of the user's own.
+        below = [
+            branch.get("properties", {}).get(name, branch.get("additionalProperties")) for branch in branches
+        ]
+        here = next((found for found in below if isinstance(found, dict)), {})
+    return _in_words(schema, here) if here else ""
 
 
 def _resolve(root: Schema, here: Schema) -> Schema:

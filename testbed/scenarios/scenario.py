@@ -15,7 +15,16 @@ import yaml
 from pydantic import Field, model_validator
 
 from controller.config import ControllerConfig
-from foundation.configuration import StrictModel, laid_over, layers, load, merged, parse_overrides, validated
+from foundation.configuration import (
+    StrictModel,
+    laid_over,
+    layers,
+    load,
+    merged,
+    parse_overrides,
+    parse_yaml,
+    validated,
+)
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
@@ -41,10 +50,7 @@ def named_request(word: str) -> NamedRequest:
         key, equals, value = pair.partition("=")
         if not key or not equals:
             raise ConfigurationError("configuration.bad_word", f"{word}: {pair!r}: wanted KEY=VALUE")
-        try:
-            body[key.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ConfigurationError("configuration.bad_word", f"{word}: {pair!r}: no value") from error
+        body[key.strip()] = parse_yaml(value, f"{word}: {pair!r}")
     return NamedRequest(name.strip(), body)
 
 
@@ -102,11 +108,8 @@ class Uniform(StrictModel):
 
     def draw(self, generator: np.random.Generator) -> Any:
         """The number, or list of numbers."""
-        return (
-            generator.uniform(self.low, self.high).tolist()
-            if _many(self.low)
-            else float(generator.uniform(self.low, self.high))
-        )
+        drawn = generator.uniform(self.low, self.high)
+        return drawn.tolist() if isinstance(self.low, list) else float(drawn)
 
 
 class Normal(StrictModel):
@@ -120,7 +123,7 @@ class Normal(StrictModel):
         """The number, or list of numbers."""
         deviation = np.clip(generator.standard_normal(np.shape(self.mean)), -3.0, 3.0)
         drawn = np.asarray(self.mean) + np.asarray(self.std) * deviation
-        return drawn.tolist() if _many(self.mean) else float(drawn)
+        return drawn.tolist() if isinstance(self.mean, list) else float(drawn)
 
 
 class Ball(StrictModel):
@@ -128,11 +131,10 @@ class Ball(StrictModel):
 
     kind: Literal["ball"]
     radius: float = Field(ge=0.0)
-    dimensions: int = Field(default=3, ge=1, le=3)
 
     def draw(self, generator: np.random.Generator) -> list[float]:
         """The vector as a list."""
-        direction = generator.standard_normal(self.dimensions)
+        direction = generator.standard_normal(3)
         scaled = direction * (generator.uniform(0.0, self.radius) / np.linalg.norm(direction))
         return [float(value) for value in scaled]
 
@@ -167,10 +169,6 @@ class Scenario(StrictModel):
             stream = np.random.default_rng([seed, zlib.crc32(key.encode())])
             result = merged(result, nested(key, distribution.draw(stream)))
         return result
-
-
-def _many(value: Value) -> bool:
-    return isinstance(value, list)
 
 
 def nested(key: str, value: Any) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from tests.support import recorded_sets
 from tests.vision_pc.perception.test_watch import World
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.perception import intrinsics, look, marker_edges, markers
+from vision_pc.core.perception import intrinsics, look, marker_edges, markers, picture_markers
 from vision_pc.core.types import CameraCalibration, StereoPair
 
 pytestmark = [
@@ -133,3 +133,39 @@ def test_time_of_an_odometry_frame(
     odometry = StereoOdometry(camera, config.odometry, config.markers.tool)
     odometry.process(shipped_pair, look.observe(shipped_pair, camera, config.markers).X_CM)
     timed(benchmark, lambda: odometry.process(shipped_pair), lambda: opencv_odometry(shipped_pair), ODOMETRY)
+
+
+KNOWN, ANY = 3.0, 16.0  # times OpenCV's detector
+
+
+def test_time_and_count_of_markers_in_photographs() -> None:
+    """Processor time a picture, in turn with OpenCV's detector and AprilTag's library."""
+    try:
+        files = sorted((recorded_sets.data_directory() / "photographs").glob("*.jpg"))
+    except RequestRefused as absent:
+        pytest.skip(str(absent))
+    apriltag = pytest.importorskip("pupil_apriltags").Detector(families="tag36h11", nthreads=1)
+    family = "DICT_APRILTAG_36h11"
+    opencv = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
+    for file in files:
+        picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        assert picture is not None
+        every = picture_markers.search(picture, family).markers
+        numbers = frozenset(marker.number for marker in every)
+        ours, theirs = len(every), len(opencv.detectMarkers(picture)[0])
+        work = (
+            lambda picture=picture: opencv.detectMarkers(picture),
+            lambda picture=picture: apriltag.detect(picture),
+            lambda picture=picture, numbers=numbers: picture_markers.search(picture, family, numbers),
+            lambda picture=picture: picture_markers.search(picture, family),
+        )
+        rounds = [[1e3 * spent_s(each) for each in work] for _ in range(5)]
+        plain, tags, known, everything = (min(times) for times in zip(*rounds, strict=True))
+        print(
+            f"\n{file.name}: OpenCV {plain:.1f} ms ({theirs}), AprilTag {tags:.1f} ms "
+            f"({len(apriltag.detect(picture))}); known {known:.1f} ms, {known / plain:.2f} of {KNOWN:g}; "
+            f"any {everything:.1f} ms ({ours}), {everything / plain:.2f} of {ANY:g}"
+        )
+        assert ours > theirs
+        assert known < KNOWN * plain
+        assert everything < ANY * plain

@@ -32,11 +32,11 @@ from protocol.process_image import (
     encode_valves,
 )
 from protocol.reference_messages import Command, ReferencePose
-from testbed.realtime.live_client import LiveClient
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 from tests.controller.obedient_plant import START_DEG, counts
 from tests.integration.flood import flooding
 from tests.support.killed_controller import insist, trial_rig
+from tests.support.live_client import LiveClient
 from tests.support.paths import CONFIGS, ROOT
 
 pytestmark = pytest.mark.bench
@@ -51,10 +51,10 @@ class StillPlant(ThreadedCoupler):
     """An arm that never moves: its controller's valve words then stand still, and a change has one cause."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.changed_ns = 0
         self._image = ValveImage(0, 0, (0.0,) * 6)
         self._cycle = 0
+        super().__init__()
 
     def make(self) -> Coupler:
         """The coupler to serve."""

@@ -90,13 +90,7 @@ def test_ahead_of_orb_slam3(
     if case.offset:
         before = [shot(truly, texture, true[0], 1000 + k, case, markers) for k in range(LOOKS)]
         told = learnt(before, camera, config)
-    left_only = config.odometry.model_copy(update={"right_every": 0})
-    ours = {
-        "both eyes": follow(told, config, pairs),
-        "left eye, both for keyframes": follow(
-            told, config.model_copy(update={"odometry": left_only}), pairs
-        ),
-    }
+    ours = {"both eyes": follow(told, config, pairs)}
     peer = one_map(followed_by_peer(peer_module["OrbSlam3"](camera, words), pairs))
     capfd.readouterr()  # what the peer tells of itself
     with capfd.disabled():

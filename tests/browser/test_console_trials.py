@@ -1,11 +1,10 @@
 """What the console has for a machine that is put into service: hand-eye calibration, trial of valves."""
 
-import re
 from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, expect
 
 from protocol.faults import FaultCode, GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state
@@ -67,25 +66,13 @@ def test_of_a_controller_that_follows_references_nothing_is_said_of_trials(brows
         assert page.locator("#enable").get_attribute("aria-describedby") is None
 
 
-def test_hand_eye_and_the_trial_of_valves_are_on_the_page(browser: Browser) -> None:
+def test_hand_eye_is_on_the_page(browser: Browser) -> None:
     with console(browser, viewport={"width": 1440, "height": 900}) as (page, _, _):
         posted: list[tuple[str, Any]] = []
         page.on("request", lambda asked: posted.append((httpx.URL(asked.url).path, asked.post_data_json))
                 if asked.method == "POST" else None)  # fmt: skip
-        page.locator("#valves summary").focus()
+        page.locator("#hand-eye summary").focus()
         page.keyboard.press("Enter")  # by keyboard alone
-        page.keyboard.press("Tab")
-        hold_in_vain(page, "#start-valve-trials")
-        expect(page.locator("#answer")).to_contain_text("tool is empty", timeout=WITHIN_MS)
-        assert not posted
-        page.locator("#valves-safe").focus()
-        page.keyboard.press("Enter")
-        hold(page, "#start-valve-trials")
-        eventually(lambda: posted == [("/operations/valve-trials", {"confirmed": True})], page)
-        expect(page.locator('[data-kind="valve-trials"] .note')).to_contain_text(
-            re.compile("refused|failed|no_trials|link"), timeout=WITHIN_MS
-        )
-        page.locator("#hand-eye summary").click()
         page.locator("#start-hand-eye-start").click()
         expect(page.locator("#answer")).to_contain_text("Give the session a name", timeout=WITHIN_MS)
         page.locator("#hand-eye-name").fill("monday")
@@ -93,12 +80,3 @@ def test_hand_eye_and_the_trial_of_valves_are_on_the_page(browser: Browser) -> N
         eventually(lambda: ("/operations/hand-eye-start", {"name": "monday"}) in posted, page)
         assert page.locator("#start-hand-eye-next").is_disabled()  # it moves the arm, which is disabled
         assert serious(page) == []
-
-
-def hold_in_vain(page: Page, button: str) -> None:
-    """Hold a button that sends nothing."""
-    expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
-    page.locator(button).hover()
-    page.mouse.down()
-    page.wait_for_timeout(800)
-    page.mouse.up()

@@ -18,7 +18,7 @@ from tests.browser.open_console import eventually, opened
 from tests.support.paths import ROOT
 
 pytestmark = [
-    pytest.mark.realtime,
+    pytest.mark.processes,
     pytest.mark.timeout(900),
     pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
 ]
@@ -30,7 +30,7 @@ SETTINGS = ("--set", "controller.reference_link.link_timeout_ms=5000")  # for a 
 @contextlib.contextmanager
 def console(browser: Browser, directory: Path) -> Iterator[Page]:
     """The console of services that were started as an operator does."""
-    command = [sys.executable, "-m", "testbed.cli", *UP, *SETTINGS, "--out", str(directory)]
+    command = [sys.executable, "-m", "longreach", *UP, *SETTINGS, "--out", str(directory)]
     said = directory / "up.txt"
     with said.open("w") as stdout, subprocess.Popen(command, cwd=ROOT, stdout=stdout, text=True) as up:
         try:

@@ -4,7 +4,6 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
 from functools import cache
 from typing import Any, ClassVar, Self
 
@@ -222,6 +221,3 @@ class ControllerUnderTest:
         for data, source in self.server.outgoing(self._clock_ns()):
             for each in self.outgoing(data):
                 self._socket.sendto(each, source)
-
-
-Maker = Callable[[], ControllerUnderTest]

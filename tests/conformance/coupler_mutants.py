@@ -7,12 +7,12 @@ from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
 from tests.conformance.mutator import Edit, copies
 
 R, W, I, A = "requests", "watchdog", "image", "answers"  # noqa: E741
-F, C, S, B = "framing", "connection", "coupler", "bench"
+F, P, S, B = "framing", "pdu", "coupler", "bench"
 # In the order in which they need one another.
 MODULES = {
     R: "plant_emulator.core.coupler.modbus_requests", W: "plant_emulator.core.coupler.watchdog",
     I: "plant_emulator.core.coupler.image", A: "plant_emulator.core.coupler.answers", F: "foundation.modbus",
-    C: "plant_emulator.shell.coupler_connection", S: "plant_emulator.shell.coupler",
+    P: "plant_emulator.shell.modbus_pdu", S: "plant_emulator.shell.coupler",
     B: "tests.conformance.couplers",
 }  # fmt: skip
 TERMINALS = "        if code == 0 and terminals:\n"
@@ -22,28 +22,28 @@ DATA = "        if not data:\n            self.close()"
 
 # fmt: off
 ROWS: tuple[tuple[Any, ...], ...] = (
-    ("answers a word too many", 601, (C, "    words = read or request.values\n", "    words = [*read, 0] if read else request.values\n")),
-    ("answers transaction 1", 602, (C, "self._coupler.answer(self, unit, pdu), unit, transaction)", "self._coupler.answer(self, unit, pdu), unit, 1)")),
-    ("answers unit 1", 602, (C, "self._coupler.answer(self, unit, pdu), unit, transaction)", "self._coupler.answer(self, unit, pdu), 1, transaction)")),
-    ("answers pieces in reverse", 604, (C, 'else b"".join(answers))', 'else b"".join(answers[::-1]))')),
-    ("drops what comes behind a request", 604, (C, "self._held = self._held[used:]", 'self._held = b""')),
-    ("forgets half a request", 604, (C, "        self._held += data", "        self._held = data")),
+    ("answers a word too many", 601, (P, "    words = read or request.values\n", "    words = [*read, 0] if read else request.values\n")),
+    ("answers transaction 1", 602, (S, "self._coupler.answer(self, unit, pdu), unit, transaction)", "self._coupler.answer(self, unit, pdu), unit, 1)")),
+    ("answers unit 1", 602, (S, "self._coupler.answer(self, unit, pdu), unit, transaction)", "self._coupler.answer(self, unit, pdu), 1, transaction)")),
+    ("answers pieces in reverse", 604, (S, 'else b"".join(answers))', 'else b"".join(answers[::-1]))')),
+    ("drops what comes behind a request", 604, (S, "self._held = self._held[used:]", 'self._held = b""')),
+    ("forgets half a request", 604, (S, "        self._held += data", "        self._held = data")),
     ("takes any length", 607, (F, "not 2 <= length <= MAX_PDU_BYTES + 1:", "not 2 <= length:")),
-    ("keeps a connection that lost its place", 607, (C, '            self._send(b"".join(answers))\n            self.close()', '            self._send(b"".join(answers))\n            self._held = b""')),
-    ("drops what came before the lost place", 607, (C, '            self._send(b"".join(answers))\n            self.close()', "            self.close()")),
-    ("a master that hangs up ends all others", 607, (C, DATA, "        if not data:\n            [each.close() for each in tuple(self._coupler._connections)]")),
-    ("serves function code 7", 610, (C, "modbus.DIAGNOSTICS}", "modbus.DIAGNOSTICS, 7}")),
-    ("does not serve 4", 602, (C, "*COUPLER_MAP.reads,", "*({*COUPLER_MAP.reads} - {4}),")),
-    ("reads 0 and any number of registers", 612, (C, "    elif asked is not None and function in COUPLER_MAP.reads:\n", "    elif function in (3, 4) and len(data) == 5:\n        return Request(function, 0, Span(int.from_bytes(data[1:3]), int.from_bytes(data[3:5])))\n    elif asked is not None and function in COUPLER_MAP.reads:\n")),
-    ("writes 2000 coils", 612, (C, "MAX_WRITE_BITS = 1968", "MAX_WRITE_BITS = 2000")),
+    ("keeps a connection that lost its place", 607, (S, '            self._send(b"".join(answers))\n            self.close()', '            self._send(b"".join(answers))\n            self._held = b""')),
+    ("drops what came before the lost place", 607, (S, '            self._send(b"".join(answers))\n            self.close()', "            self.close()")),
+    ("a master that hangs up ends all others", 607, (S, DATA, "        if not data:\n            [each.close() for each in tuple(self._coupler._connections)]")),
+    ("serves function code 7", 610, (P, "modbus.DIAGNOSTICS}", "modbus.DIAGNOSTICS, 7}")),
+    ("does not serve 4", 602, (P, "*COUPLER_MAP.reads,", "*({*COUPLER_MAP.reads} - {4}),")),
+    ("reads 0 and any number of registers", 612, (P, "    elif asked is not None and function in COUPLER_MAP.reads:\n", "    elif function in (3, 4) and len(data) == 5:\n        return Request(function, 0, Span(int.from_bytes(data[1:3]), int.from_bytes(data[3:5])))\n    elif asked is not None and function in COUPLER_MAP.reads:\n")),
+    ("writes 2000 coils", 612, (P, "MAX_WRITE_BITS = 1968", "MAX_WRITE_BITS = 2000")),
     ("takes trailing bytes", 617, (F, "!= len(framed) + 2 and", "> len(framed) + 2 and")),
-    ("takes any byte count of 23", 617, (C, "asked.write_byte_count == 2 * asked.write_count <=", "2 * asked.write_count <=")),
-    ("any word switches a coil", 619, (C, "    asked = decoded(_DECODER, data)\n", "    if function == 5 and len(data) == 5 and data[3:] != bytes(2):\n        data = data[:3] + b'\\xff\\0'\n    asked = decoded(_DECODER, data)\n")),
-    ("the address before the length", 620, (C, "    return Request(function, modbus.ILLEGAL_VALUE)", "    return Request(function, 2 if data[1:2] == b'\\x70' else modbus.ILLEGAL_VALUE)")),
+    ("takes any byte count of 23", 617, (P, "asked.write_byte_count == 2 * asked.write_count <=", "2 * asked.write_count <=")),
+    ("any word switches a coil", 619, (P, "    asked = decoded(_DECODER, data)\n", "    if function == 5 and len(data) == 5 and data[3:] != bytes(2):\n        data = data[:3] + b'\\xff\\0'\n    asked = decoded(_DECODER, data)\n")),
+    ("the address before the length", 620, (P, "    return Request(function, modbus.ILLEGAL_VALUE)", "    return Request(function, 2 if data[1:2] == b'\\x70' else modbus.ILLEGAL_VALUE)")),
     ("does not count exceptions", 622, (A, "            self.statistics.exceptions += 1", "            pass")),
     ("does not count lost frames", 622, (S, 'self._tell("framing_errors", ', 'self._tell("quiet", ')),
     ("clears no counters", 622, (A, "            if sub_function == CLEAR_COUNTERS:", "            if False:")),
-    ("any data for a sub-function", 622, (C, "    return (0,) if data == 0 else ()", "    return (0,)"), (C, "if encoded(asked) == data and", "if")),
+    ("any data for a sub-function", 622, (P, "    return (0,) if data == 0 else ()", "    return (0,)"), (P, "if encoded(asked) == data and", "if")),
     ("echoes 8 words", 623, (A, "            return data\n        if sub_function == READ_STATUS", "            return data[:8]\n        if sub_function == READ_STATUS")),
     ("echoes 124 words", 623, (A, "            return data\n        if sub_function == READ_STATUS", "            return data[:124]\n        if sub_function == READ_STATUS")),
     ("exception 2 does not count", 623, (A, "            self.statistics.exceptions += 1", "            self.statistics.exceptions += code != 2")),
@@ -72,7 +72,7 @@ ROWS: tuple[tuple[Any, ...], ...] = (
     ("6 writes inputs", 640, (I, "WRITE_SINGLE: (_OUTPUTS, *", "WRITE_SINGLE: (_OUTPUTS, Span(0, 2), *")),
     ("23 writes own registers", 640, (I, "READ_WRITE_MULTIPLE: (_OUTPUTS,),", "READ_WRITE_MULTIPLE: (_OUTPUTS, *_WRITABLE_ROWS),")),
     ("digital inputs are zero", 642, (I, "self._sensor_words()[_STATUS_WORD] if", "0 if")),
-    ("6 answers another word", 651, (C, "    words = read or request.values\n", "    words = read or request.values\n    words = [words[0] ^ 1] if request.function == 6 else words\n")),
+    ("6 answers another word", 651, (P, "    words = read or request.values\n", "    words = read or request.values\n    words = [words[0] ^ 1] if request.function == 6 else words\n")),
     ("16 does not write", 651, (A, WRITING, "        if request.function == 16:\n            return 0\n" + WRITING)),
     ("a coil clears the others", 653, (I, "        word = self._outputs[-1]\n        for at, bit", "        word = 0\n        for at, bit")),
     ("coils of the other byte", 653, (I, "word | 1 << at if bit else word & ~(1 << at)", "word | 1 << (at ^ 8) if bit else word & ~(1 << (at ^ 8))")),
@@ -130,7 +130,7 @@ ROWS: tuple[tuple[Any, ...], ...] = (
     ("-32768 is written although refused", 915, (I, "                return ILLEGAL_VALUE, None, False", "                self._outputs = outputs\n                return ILLEGAL_VALUE, None, False")),
     ("an image of zeros does not act", 923, (I, "        return 0, image, False", "        return 0, image if any(outputs) else None, False")),
     ("the zeros of an expiry do not act", 917, (A, "        self._on_valves(_CENTRED)\n", "")),
-    ("a motion watchdog of 200 ms", 918, (B, "MOTION_WATCHDOG_NS = 100", "MOTION_WATCHDOG_NS = 200")),
+    ("a motion watchdog of 300 ms", 918, (B, "MOTION_WATCHDOG_NS = 100", "MOTION_WATCHDOG_NS = 300")),
     ("a motion watchdog of 80 ms", 918, (B, "MOTION_WATCHDOG_NS = 100", "MOTION_WATCHDOG_NS = 80")),
     ("any cycle ends the trip", 920, (B, "        self._valves.write(image, now_ns)", "        self._valves.write(ValveImage(image.controller_cycle, 0, image.valves), now_ns)\n        self._valves.write(image._replace(control=image.control | 2), now_ns)")),
     ("a reset clears the motion watchdog", 921, (A, "            return self._watchdog.configure(master, span.address, request.values[0], now_ns)", "            if request.values[0] == 0xAFFE:\n                self._on_valves(ValveImage(50, 0, (0.0,) * 6))\n                self._on_valves(ValveImage(51, 2, (0.0,) * 6))\n            return self._watchdog.configure(master, span.address, request.values[0], now_ns)")),

@@ -9,9 +9,12 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 from types import ModuleType
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
+from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.inbox import Inbox
 from protocol.authentication import LinkKey
+from protocol.axes_group import Mode, Transition
 from protocol.datagram import decode, encode
 from protocol.faults import CommandCode
 from protocol.reference_messages import Command, Request
@@ -50,6 +53,35 @@ class KeyedController(ControllerUnderTest):
 def hooked(**members: Any) -> Make:
     """Makes controllers of which these methods or attributes are other ones."""
     return lambda: type("Hooked", (ControllerUnderTest,), members)()
+
+
+def takes(kind: type, other: Callable[[Any], Any]) -> Make:
+    """Makes controllers that take requests of a kind for other ones."""
+    return hooked(judge=lambda _, request: other(request) if isinstance(request, kind) else request)
+
+
+def follows(other: Callable[[Any, Any], dict[str, Any]]) -> Make:
+    """Makes controllers that take streamed references otherwise, in an open stream.
+
+    ``other`` gets the message and the stream, and gives the fields that are other ones.
+    """
+
+    def judge_streamed(self: Any, arrival: Any) -> Any:
+        stream = self.bench.state.stream
+        changed = {} if stream is None else other(arrival.message, stream)
+        return arrival._replace(message=arrival.message._replace(**changed))
+
+    return hooked(judge_streamed=judge_streamed)
+
+
+def with_cell(cell: tuple[Mode, Stimulus], step: Transition) -> Make:
+    """Makes controllers whose table of states is another one in one cell."""
+
+    def scan(self: Any) -> None:
+        with patch.dict(TRANSITIONS, {cell: step}):
+            ControllerUnderTest._scan(self)
+
+    return hooked(_scan=scan)
 
 
 def edited(*edits: Edit, key: bool = False) -> Make:

@@ -13,7 +13,7 @@ from protocol.faults import CommandCode, FaultCode, Reason
 from protocol.reference_messages import Acknowledgement, Command, ReferencePose, Request, State
 from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest, settings
-from tests.conformance.mutator import BrokenController, hooked, says
+from tests.conformance.mutator import BrokenController, follows, hooked, says
 
 KIND = 6
 
@@ -54,17 +54,6 @@ def _notes_the_norm(self: Any, request: Request) -> Request:
 def _shows_the_norm(self: Any, state: State) -> State:
     bent = tuple(each * self.norm for each in state.X_BT_cmd.q_wxyz)
     return state._replace(X_BT_cmd=state.X_BT_cmd._replace(q_wxyz=bent))
-
-
-def _of_message(**changed: Callable[[Any, Any], Any]) -> Any:
-    """Changes fields of streamed references; each change gets the message and the stream."""
-
-    def other(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        message, stream = arrival.message, self.bench.state.stream
-        fields = {name: change(message, stream) for name, change in changed.items()} if stream else {}
-        return arrival._replace(message=message._replace(**fields))
-
-    return other
 
 
 def _last_finite(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
@@ -145,9 +134,9 @@ MUTANTS = tuple(
          _after_a_refusal(fault=lambda _: FaultCode.REFERENCE_STALE)),
         ("takes NaN for the last reference", (546, 553), hooked(good=None, judge_streamed=_last_finite)),
         ("follows any stream", (554,),
-         hooked(judge_streamed=_of_message(stream_id=lambda _, s: s.stream_id))),
+         follows(lambda _, s: {"stream_id": s.stream_id})),
         ("takes older numbers", (585,),
-         hooked(judge_streamed=_of_message(number=lambda _, s: (s.number + 1) % 2**32))),
+         follows(lambda _, s: {"number": (s.number + 1) % 2**32})),
         ("shows another number", (550,), hooked(shown=lambda _, state: state._replace(stream_number=0))),
         ("latches for who leaves in STANDBY", (537, 538), hooked(_scan=_latches_in(Mode.STANDBY))),
         ("latches for who leaves while STOPPING", (539,), hooked(_scan=_latches_in(Mode.STOPPING))),

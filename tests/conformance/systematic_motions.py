@@ -26,14 +26,9 @@ from protocol.reference_messages import (
     StreamRefused,
 )
 from tests.conformance.controllers import settings
-from tests.conformance.mutator import BrokenController, Make, hooked, reworked, says
+from tests.conformance.mutator import BrokenController, Make, hooked, reworked, says, takes
 
 Named = Callable[[float], float]
-
-
-def _takes(kind: type, other: Callable[[Any], Any]) -> Make:
-    """Takes references for other ones."""
-    return hooked(judge=lambda _, request: other(request) if isinstance(request, kind) else request)
 
 
 def _given(factor: float, pose: ReferencePose) -> ReferencePose:
@@ -128,15 +123,15 @@ def named_one_of(*pairs: tuple[float, float]) -> Named:
 
 def _motions() -> Iterator[tuple[str, str, int, Make]]:
     for factor in (0.5, 0.9, 1.1, 2.0):
-        make = _takes(ReferencePose, partial(_given, factor))
+        make = takes(ReferencePose, partial(_given, factor))
         yield f"a motion takes {factor:g} of its time", "6.7", 558, make
-    leisurely = _takes(ReferencePose, lambda pose: pose._replace(duration_s=pose.duration_s or 3.0))
+    leisurely = takes(ReferencePose, lambda pose: pose._replace(duration_s=pose.duration_s or 3.0))
     yield "a time of 0 is 3 s", "6.7", 559, leisurely
     for segment, dwell in ((2.0, 1.0), (0.7, 1.0), (1.0, 2.0), (1.0, 0.5), (1.0, 0.0)):
-        make = _takes(ReferencePath, partial(_path, segment, dwell))
+        make = takes(ReferencePath, partial(_path, segment, dwell))
         yield f"segments of {segment:g}, dwells of {dwell:g}", "6.8", 557, make
     for name, part in (("straight to the last", slice(-1, None)), ("backwards", slice(None, None, -1))):
-        make = _takes(ReferencePath, lambda path, part=part: path._replace(waypoints=path.waypoints[part]))
+        make = takes(ReferencePath, lambda path, part=part: path._replace(waypoints=path.waypoints[part]))
         yield f"a path goes {name}", "6.8", 532, make
     refers = _rests_at(lambda request: isinstance(request, ReferencePose))
     yield "a new motion begins at rest", "6.9", 560, refers

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
+from unittest.mock import patch
 
 from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.scan_types import NO_FAULT
@@ -222,12 +223,9 @@ def _other_link(mode: Mode, then: Mode) -> Make:
     cell = mode, Stimulus.UNATTENDED
 
     def scan(self: Any) -> None:
-        right, before = TRANSITIONS[cell], self.bench.state.mode
-        TRANSITIONS[cell] = right._replace(mode=then)
-        try:
+        before = self.bench.state.mode
+        with patch.dict(TRANSITIONS, {cell: TRANSITIONS[cell]._replace(mode=then)}):
             ControllerUnderTest._scan(self)
-        finally:
-            TRANSITIONS[cell] = right
         # The scan knows this one by itself.
         if before is mode is Mode.MOVING and self.bench.state.mode is Mode.ERROR_RAMP:
             self.bench.state = self.bench.state._replace(mode=then)

@@ -11,29 +11,35 @@ from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.trajectories.motion import holding
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, Reason
-from protocol.reference_messages import Request, State, StreamRefused
+from protocol.reference_messages import Request, State, StreamedPose, StreamRefused
 from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutator import BrokenController, Make, edited, hooked, reworked, says
+from tests.conformance.mutator import (
+    BrokenController,
+    Make,
+    edited,
+    follows,
+    hooked,
+    reworked,
+    says,
+    with_cell,
+)
 
 _scan_of = ControllerUnderTest._scan
+_LOST = Mode.STREAMING, Stimulus.UNATTENDED
 
 
 def _twisted(linear: float, angular: float) -> Make:
-    def other(_: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-        if max(map(abs, arrival.message.twist_ref)) > 0.1:
-            return arrival
-        factors = (linear,) * 3 + (angular,) * 3
-        before = arrival.message.twist_ref
-        twist = tuple(value * factor for value, factor in zip(before, factors, strict=True))
-        return arrival._replace(message=arrival.message._replace(twist_ref=twist))
+    def other(message: StreamedPose, _: Any) -> dict[str, Any]:
+        factors = (linear,) * 3 + (angular,) * 3 if max(map(abs, message.twist_ref)) <= 0.1 else (1.0,) * 6
+        twist = zip(message.twist_ref, factors, strict=True)
+        return {"twist_ref": tuple(value * factor for value, factor in twist)}
 
-    return hooked(judge_streamed=other)
+    return follows(other)
 
 
-def _shuffled(_: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-    vx, vy, vz, wx, wy, wz = arrival.message.twist_ref
-    return arrival._replace(message=arrival.message._replace(twist_ref=(vz, vx, vy, wz, wx, wy)))
+def _shuffled(message: StreamedPose, _: Any) -> dict[str, Any]:
+    return {"twist_ref": tuple(message.twist_ref[at] for at in (2, 0, 1, 5, 3, 4))}
 
 
 def _of_now(_: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
@@ -113,11 +119,9 @@ def _forgets_what_waits(self: Any) -> None:
     self.waits = None
 
 
-def _wants_every_number(self: Any, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
-    stream = self.bench.state.stream
-    if stream is None or stream.goal is None or (arrival.message.number - stream.number) % 2**32 < 9:
-        return arrival
-    return arrival._replace(message=arrival.message._replace(number=stream.number))
+def _wants_every_number(message: StreamedPose, stream: Any) -> dict[str, Any]:
+    skips = stream.goal is not None and (message.number - stream.number) % 2**32 >= 9
+    return {"number": stream.number} if skips else {}
 
 
 def _ends_where_it_is(self: Any) -> None:
@@ -146,16 +150,6 @@ def _not_done_when_empty(self: Any, state: State) -> State:
     return state._replace(motion_done=state.motion_done and not self.empty)
 
 
-def _loses_the_stream_at_once(self: Any) -> None:
-    cell = Mode.STREAMING, Stimulus.UNATTENDED
-    right = TRANSITIONS[cell]
-    TRANSITIONS[cell] = right._replace(mode=Mode.DISABLING)
-    try:
-        _scan_of(self)
-    finally:
-        TRANSITIONS[cell] = right
-
-
 def _is_kept_alive(self: Any) -> None:
     stream = self.bench.state.stream
     if stream is not None and not stream.attended:
@@ -168,7 +162,7 @@ ROWS: tuple[tuple[str, str, int, Make], ...] = (
         (f"a twist of {linear:g} and {angular:g}", "12.7", 577, _twisted(linear, angular))
         for linear, angular in ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.5, 1.0), (-1.0, 1.0), (1.0, -1.0))
     ),
-    ("a twist is shuffled", "12.7", 577, hooked(judge_streamed=_shuffled)),
+    ("a twist is shuffled", "12.7", 577, follows(_shuffled)),
     ("a reference is of now", "12.7", 578, hooked(judge_streamed=_of_now)),
     ("a reference is never old", "12.6", 584, hooked(judge_streamed=_of_now)),
     *(
@@ -184,13 +178,13 @@ ROWS: tuple[tuple[str, str, int, Make], ...] = (
      hooked(waits=None, judge_streamed=_answers_the_superseded, _scan=_forgets_what_waits)),
     ("follows the oldest of a burst", "12.3", 586,
      edited(("inbox", "_newest(self._streamed, event)", "self._streamed or event"))),
-    ("wants every number", "12.5", 585, hooked(judge_streamed=_wants_every_number)),
+    ("wants every number", "12.5", 585, follows(_wants_every_number)),
     ("END_STREAM ends where it is", "12.10", 555, hooked(_scan=_ends_where_it_is)),
     ("END_STREAM goes on with the twist", "12.10", 588, hooked(judge=_goes_on_with_the_twist)),
     ("an empty stream is never done", "12.10", 587,
      hooked(empty=False, judge=_notes_an_empty_stream, shown=_not_done_when_empty)),
     ("the end of a session ends a stream without its fault", "12.9", 576,
-     hooked(_scan=_loses_the_stream_at_once)),
+     with_cell(_LOST, TRANSITIONS[_LOST]._replace(mode=Mode.DISABLING))),
     ("the end of a session does not end a stream", "12.9", 576, hooked(_scan=_is_kept_alive)),
 )  # fmt: skip
 MUTANTS = tuple(BrokenController(name, clause, make, case=case) for name, clause, case, make in ROWS)

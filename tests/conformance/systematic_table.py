@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from typing import Any
 
 from conformance.reference.arm_transitions import number_of
-from controller.core.group_states import TRANSITIONS, Stimulus
+from controller.core.group_states import Stimulus
 from controller.core.requests import enter_mode
 from protocol.axes_group import ANSWERS, Asked, Mode, Transition
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, ReferencePose, StreamRefused
 from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutator import BrokenController, Make, hooked
+from tests.conformance.mutator import BrokenController, Make, hooked, with_cell
 
 # Where a request leads that is taken for one that acts. What leads to a motion without a way ends in the
 # same scan and cannot be told, so these drop the enable instead.
@@ -30,21 +30,6 @@ _ELSEWHERE = {
     Asked.MOVE: Mode.DISABLED,
     Asked.STREAMED: Mode.DISABLED,
 }
-
-
-def _other_table(cell: tuple[Mode, Asked], step: Transition) -> Make:
-    """Differs from 7.3 in one cell of a command."""
-    at = cell[0], Stimulus(cell[1])
-
-    def scan(self: Any) -> None:
-        right = TRANSITIONS[at]
-        TRANSITIONS[at] = step
-        try:
-            ControllerUnderTest._scan(self)
-        finally:
-            TRANSITIONS[at] = right
-
-    return hooked(_scan=scan)
 
 
 def _takes_otherwise(cell: tuple[Mode, Asked], step: Transition) -> Make:
@@ -103,7 +88,11 @@ def _of_cells() -> Iterator[BrokenController]:
         for what, wrong in (("answers", wrong_reason(step)), ("leads", wrong_mode(mode, asked, step))):
             refused = asked is Asked.STREAMED and what == "answers" and mode is not Mode.STREAMING
             by_table = refused or asked not in (Asked.MOVE, Asked.STREAMED)
-            make = (_other_table if by_table else _takes_otherwise)((mode, asked), wrong)
+            make = (
+                with_cell((mode, Stimulus(asked)), wrong)
+                if by_table
+                else _takes_otherwise((mode, asked), wrong)
+            )
             name = f"{asked.name} in {mode.name} {what} {wrong.mode.name}: {wrong.reason.name}"
             yield BrokenController(name, "7.3", make, case=number_of(mode, asked))
 

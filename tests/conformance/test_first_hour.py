@@ -12,19 +12,17 @@ from typer.testing import CliRunner
 from conformance.case import CaseOutcome, Summary
 from conformance.command import app as suites
 from conformance.command import print_step, result_line
-from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, write_records
-from conformance.runner import Manner, coupler_cases, run_coupler, run_reference
+from conformance.records import COUPLER_STEPS, REFERENCE_STEPS
+from conformance.runner import coupler_cases, run_coupler, run_reference
 from protocol.datagram_layout import Kind
 from protocol.reference_messages import Acknowledgement
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.coupler_mutants import C, CouplerMutant
-from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
+from tests.conformance.couplers import ThreadedCoupler
 
 simulated = pytest.mark.usefixtures("network")
 PASS, FLAKY, FAIL, UNSUPPORTED = CaseOutcome
 
 
-FIRST_HOUR = Manner(first_hour=True)
 OF_A_KEY = {701, 704, 718}
 
 
@@ -53,7 +51,7 @@ def not_passed(summary: Summary) -> dict[int, str]:
 @simulated
 def test_a_sound_controller_passes_every_step_in_its_order() -> None:
     with ControllerUnderTest() as controller:
-        summary = run_reference("127.0.0.1", controller.port, motion=True, manner=FIRST_HOUR)
+        summary = run_reference("127.0.0.1", controller.port, motion=True, first_hour=True)
     assert not any(result_line(result).rstrip().endswith(":") for result in summary.results)
     said, total = io.StringIO(), len(REFERENCE_STEPS)
     print_step(Console(file=said, width=200), summary, REFERENCE_STEPS)
@@ -67,7 +65,7 @@ def test_a_sound_controller_passes_every_step_in_its_order() -> None:
 @pytest.mark.usefixtures("clock")
 def test_a_sound_coupler_passes_every_step_in_its_order() -> None:
     with ThreadedCoupler() as coupler:
-        summary = run_coupler("127.0.0.1", coupler.port, outputs=True, manner=FIRST_HOUR)
+        summary = run_coupler("127.0.0.1", coupler.port, outputs=True, first_hour=True)
     assert [result.case.number for result in summary.results] == [step.number for step in COUPLER_STEPS]
     assert not_passed(summary) == {}
 
@@ -89,7 +87,7 @@ def test_a_controller_stops_at_the_step_of_what_it_does_not_send(
 ) -> None:
     with HalfWritten() as controller:
         controller.sends = sends
-        summary = run_reference("127.0.0.1", controller.port, motion=True, manner=FIRST_HOUR)
+        summary = run_reference("127.0.0.1", controller.port, motion=True, first_hour=True)
     assert summary.results[-1].case.number == stops_at
     assert summary.results[-1].outcome is CaseOutcome.FAIL
     assert summary.count(CaseOutcome.FAIL) == 1
@@ -138,14 +136,3 @@ def test_the_command_writes_records_and_ends_with_its_verdict(tmp_path: Path) ->
     assert "transaction 1 unit 1 function 3" in text
     bad = runner.invoke(suites, arguments)
     assert getattr(bad.exception, "cause", "") == "link.unreachable"
-
-
-@pytest.mark.realtime
-@pytest.mark.usefixtures("clock")
-def test_records_of_a_failure_name_it(tmp_path: Path, clock: ShiftedClock) -> None:
-    edit = C, "ExceptionResponse(request.function, code)", "ExceptionResponse(0, code)"
-    with CouplerMutant("refuses under 0x80", 612, (edit,)).make(clock) as coupler:
-        write_records(run_coupler("127.0.0.1", coupler.port, numbers=[612]), tmp_path)
-    failure = ElementTree.parse(tmp_path / "junit.xml").getroot().find("testcase/failure")
-    assert failure is not None
-    assert "wanted 8303" in (failure.get("message") or "")

@@ -60,13 +60,13 @@ def _arrive(loop: ClosedLoop, target: Pose) -> Arrival:
         loop.step()
         assert loop.view.fault is FaultCode.NONE
         lag = max(lag, float(np.linalg.norm(np.subtract(loop.view.X_BT.p_m, loop.view.X_BT_cmd.p_m))))
-    settle_s = loop.settle(15.0)
+    settle_s = loop.settle(20.0)
     settings, joints, errors = loop.settings, [], []
     for _ in range(round(HOLD_S / settings.cycle_s)):
         loop.step()
         joints.append(loop.view.q_meas)
         tool = tool_state(settings.table, np.array(loop.view.q_meas))
-        errors.append(resolve(tool, loop.state.motion.desired, settings.servo.gains).q_error)
+        errors.append(resolve(tool, loop.state.motion.desired, settings.servo.gains, np.zeros(6)).q_error)
     return Arrival(
         settle_s,
         1e3 * lag,

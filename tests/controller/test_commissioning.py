@@ -98,11 +98,6 @@ def test_a_fault_in_the_named_file_is_told_with_that_file(
             "valves.lift.raising.deadband = 0.19999 sits at its bound 0.2",
         ),
         (
-            {"play_mrad": {"slew": {"value": 0.0, "std": 0.1, "bounds": [0.0, None]}}},
-            "commissioned.at_bound",
-            "play_mrad.slew = 0 sits",
-        ),
-        (
             {"tuning": {"gain_1_s": [2.0, 3.0, 4.0, 10.0, 10.0, 60.0]}},
             "configuration.value_error",
             "above 50",

@@ -8,7 +8,6 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +21,9 @@ from controller_st.ads_port import CLIENTS, AdsPort
 from foundation.configuration import load
 from foundation.event_log import EventLog
 from nominal_arm.description import NominalArm
-from protocol.errors import ConfigurationError, RequestRefused
+from protocol.errors import ConfigurationError
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
-from testbed.plc_watch import WatchedPlc, watch_values
 from testbed.realtime.launch import free_port
 from tests.controller_st.test_ads_device import COUNTER
 from tests.support.paths import CONFIGS
@@ -157,33 +155,6 @@ def test_who_floods_and_does_not_read_is_answered_as_far_as_a_turn_allows(log: E
         counted = rig.memory.MAIN.nCount
         assert counted > 50, "the scan goes on"
         assert np.percentile(rig.turns_s, 99) < 2e-3
-
-
-def test_plc_watch_writes_rows_until_the_plc_goes_silent(
-    log: EventLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("pyads", reason="pyads is absent: make peers")
-    host, path = OWN_HOST, tmp_path / "watch.csv"
-    with contextlib.ExitStack() as stack:
-        running_one = stack.enter_context(contextlib.ExitStack())
-        running_one.enter_context(running(log, host=host, number=ADS_PORT))
-        plc = stack.enter_context(WatchedPlc(host, f"{host}.1.1", 851))
-        for name, why in (("MAIN.nothing", "no such variable"), ("MAIN.stPart", "name its parts")):
-            with pytest.raises(RequestRefused, match=why):
-                watch_values(plc, [name], 0.01, 1.0, None)
-        seen = watch_values(plc, ["MAIN.nCount", "MAIN.stPart.fGain"], 0.01, 0.3, path)
-        assert (seen.silent, seen.variables["MAIN.stPart.fGain"]["last"]) == ("", 2.5)
-        rows = [[float(cell) for cell in line.split(",")] for line in path.read_text().splitlines()[1:]]
-        times_s, counts, gains = zip(*rows, strict=True)
-        assert list(times_s) == sorted(times_s)
-        assert counts[-1] > counts[0]
-        assert set(gains) == {2.5}
-        assert seen.variables["MAIN.nCount"]["most"] == counts[-1]
-        assert seen.variables["MAIN.nCount"]["changes"] > 0
-        threading.Timer(0.3, running_one.close).start()
-        assert "link.plc" in watch_values(plc, ["MAIN.nCount"], 0.01, None, path).silent
-    assert len(path.read_text().splitlines()) > 2
-    assert "link.plc" in capsys.readouterr().err
 
 
 def test_there_are_places_for_eight_and_who_leaves_makes_room(log: EventLog) -> None:

@@ -11,7 +11,7 @@ from protocol.errors import ConfigurationError
 from structured_text.program import CompiledProgram
 from tests.structured_text.c_layout import check_offsets
 from tests.support.paths import CONFIGS
-from tools.plc_constants import FILE, text
+from tools.pages import PLC_CONSTANTS, plc_constants
 
 
 def configured(*overrides: str) -> tuple[NominalArm, ControllerConfig]:
@@ -23,7 +23,7 @@ def configured(*overrides: str) -> tuple[NominalArm, ControllerConfig]:
 
 
 def test_the_committed_constants_are_those_of_the_shipped_configuration() -> None:
-    assert FILE.read_text(encoding="utf-8") == text(), "run: python -m tools.plc_constants"
+    assert PLC_CONSTANTS.read_text(encoding="utf-8") == plc_constants(), "run: python -m tools.pages"
 
 
 @pytest.mark.slow("a program is compiled")
@@ -57,7 +57,7 @@ def test_every_type_of_the_program_lies_as_ctypes_lays_it_out() -> None:
 
 
 def test_constants_that_were_edited_are_refused_and_not_ignored() -> None:
-    shipped = FILE.read_text(encoding="utf-8")
+    shipped = PLC_CONSTANTS.read_text(encoding="utf-8")
     refuse_edited(shipped)
     for edited in (shipped.replace("5.0", "6.0", 1), shipped[: shipped.rindex("(*")], shipped + "\n"):
         with pytest.raises(ConfigurationError, match=r"was edited.*--set") as caught:

@@ -37,7 +37,7 @@ def raised(world: World, z: float) -> Pose:
 
 def arm(world: World) -> Any:
     """The program's own variables."""
-    return world.controller._program._text.arm  # type: ignore[attr-defined]
+    return world.controller.program._text.arm  # type: ignore[attr-defined]
 
 
 def test_a_reference_that_came_before_a_stop_is_never_judged(world: World) -> None:
@@ -75,7 +75,7 @@ def test_a_motion_that_nobody_attends_ramps_down_before_the_valves_are_centred(w
 
 
 def test_the_state_table_of_the_text_is_the_controllers_own(world: World) -> None:
-    compiled = world.controller._program._text._program  # type: ignore[attr-defined]
+    compiled = world.controller.program._text._program  # type: ignore[attr-defined]
     following, answers = compiled.constant("LR_NEXT"), compiled.constant("LR_ANSWER")
     steps = [TRANSITIONS[mode, each] for mode in Mode for each in Stimulus]
     assert following == [step.mode for step in steps]

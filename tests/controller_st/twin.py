@@ -8,6 +8,7 @@ import numpy.typing as npt
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanState, initial_state
 from controller.core.settings import settings_from
+from controller.core.standing import rest_before
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode
@@ -102,6 +103,8 @@ def _spools(program: CompiledProgram, one: Recorded, cells: dict[str, MemoryView
     before, after = one.before, one.after
     servo, tool, desired, watch = cells["servo"], cells["tool"], cells["desired"], cells["watch"]
     _put(servo, aqCmd=before.servo.q_cmd, aPt1=before.filters.pt1, aLoad=before.filters.load)
+    held, error, stood = rest_before(after._replace(settling=before.settling))[0]
+    _put(servo, aHeld=held > 0.0, aError=error, aStood=stood)
     _put(tool, p=after.tool.p_BT, q=after.tool.quaternion, aJ=after.tool.J_BT)
     motion = after.motion.desired
     _put(desired, p=motion.p, v=motion.v, a=motion.a)
@@ -125,6 +128,7 @@ def worst_of(program: CompiledProgram, twin: Twin) -> float:
             tool, spools = one.after.tool, _spools(program, one, cells)
             pairs = (
                 (spools, one.after.servo.valves),
+                (cells["servo"].aError.numbers, one.after.settling.error),
                 (found.p.numbers, tool.p_BT),
                 (found.q.numbers, tool.quaternion),
                 (found.aJ.numbers, tool.J_BT),

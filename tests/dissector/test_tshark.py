@@ -15,10 +15,10 @@ from dissector import SCRIPT
 from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from tests.dissector.captures import write_pcap
+from tests.protocol.sample_messages import HEADER as SAMPLE_HEADER
+from tests.protocol.sample_messages import MESSAGES
 from tests.support.pages import commands_of
 from tests.support.paths import ROOT
-from tools.sample_messages import HEADER as SAMPLE_HEADER
-from tools.sample_messages import MESSAGES
 
 TSHARK = shutil.which("tshark")
 pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: apt-get install tshark")

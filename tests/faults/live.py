@@ -27,7 +27,7 @@ from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.camera_eyes import MonotonicClock, open_eyes
+from vision_pc.shell.camera_eyes import ProcessClock, open_eyes
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.rest.api import create_app
@@ -86,7 +86,7 @@ class Machine(asyncio.DatagramProtocol):
         words = encode_sensors(self.registers.read())
         datagrams, self._arrived = self._arrived, []
         now_ns = time.monotonic_ns()
-        output, replies = self._side.cycle(words, datagrams, now_ns, now_ns)
+        output, replies = self._side.cycle(words, datagrams, now_ns)
         if output.view.group_state is GroupState.MOVING:
             self.motions.add(output.view.motion_id)
         assert self._transport is not None
@@ -161,7 +161,7 @@ async def live(
     vision = settings.vision.model_copy(
         update={"link": settings.vision.link.model_copy(update={"port": machine.port, "any_arm": any_arm})}
     )
-    endpoint = UdpEndpoint(vision.link, vision.link.expected_arm(settings.arm), log, MonotonicClock())
+    endpoint = UdpEndpoint(vision.link, vision.link.expected_arm(settings.arm), log, ProcessClock())
     link = endpoint.link
     await endpoint.start()
     camera = ScriptedCamera(vision.camera)

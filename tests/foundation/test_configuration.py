@@ -14,6 +14,7 @@ from foundation.configuration import (
     read_yaml,
     validated,
 )
+from foundation.live import LiveSettings
 from protocol.errors import ConfigurationError
 
 
@@ -72,12 +73,6 @@ def test_assignments_that_contradict_each_other_are_refused(assignments: tuple[s
     assert cause_of_overrides(*assignments) == "configuration.contradiction"
 
 
-def test_overrides_reach_the_model(tmp_path: Path) -> None:
-    (tmp_path / "arm.yaml").write_text("reach_m: 5.0\nlinks:\n  - {length_m: 1.0}\n")
-    overrides = parse_overrides(["arm.reach_m=4.5"])
-    assert load(Arm, tmp_path / "arm.yaml", overrides["arm"]) == Arm(reach_m=4.5, links=(Link(length_m=1.0),))
-
-
 @pytest.mark.parametrize(
     ("text", "cause"),
     [
@@ -95,6 +90,17 @@ def test_each_fault_of_a_file_has_its_cause(tmp_path: Path, text: str, cause: st
         load(Arm, tmp_path / "arm.yaml")
     assert caught.value.cause == cause
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:47000", "http://plc", "plc ", "[::1]", "", "plc/api"])
+def test_a_host_is_a_name_or_an_address_alone(host: str) -> None:
+    with pytest.raises(ConfigurationError, match="no scheme, port or brackets"):
+        validated(LiveSettings, {"host": host}, "test")
+
+
+@pytest.mark.parametrize("host", ["plc", "plc.local.", "10.0.0.7", "::1", "fe80::1%eth0"])
+def test_a_host_may_be_written_so(host: str) -> None:
+    assert validated(LiveSettings, {"host": host}, "test").host == host
 
 
 def test_a_file_in_another_encoding_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from foundation.event_log import MEMBERS, EventLog, in_words, process_log
-from protocol.errors import LinkLost
 from tests.support.log_lines import HeardLog, assert_obeys
 
 
@@ -92,15 +91,6 @@ def test_a_closed_pipe_is_counted_and_nothing_else() -> None:
     log.close()
 
 
-def test_what_is_recorded_is_what_is_shown(tmp_path: Path) -> None:
-    log = HeardLog("vision_pc")
-    log.record_in(tmp_path / "new" / "run")
-    log.write("look")
-    assert log.healthy
-    log.close()
-    assert (tmp_path / "new" / "run" / "events.jsonl").read_text() == log.text()
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 def test_a_full_disk_ends_the_recording_once_and_not_the_log(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl").symlink_to("/dev/full")
@@ -150,12 +140,6 @@ def test_a_bug_is_a_line_with_its_traceback_and_status_1(capsys: pytest.CaptureF
     assert line["event"] == "broken"
     assert "test_event_log.py" in line["exception"]
     assert in_words(json.dumps(line)) == "internal: ZeroDivisionError('a bug')"
-
-
-def test_what_was_raised_on_purpose_is_for_the_caller_to_say(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(LinkLost), process_log("controller"):
-        raise LinkLost("link.lost", "gone")
-    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

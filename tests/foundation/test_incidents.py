@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from foundation.incidents import INCIDENTS, IncidentFile, incidents_here, note_incident, note_scheduling
+from foundation.incidents import INCIDENTS, IncidentFile, incidents_here, note_incident
 
 
 def test_what_one_process_notes_another_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,14 +52,3 @@ def test_only_the_newest_are_read_of_a_file_however_long(tmp_path: Path) -> None
     assert newest[-1].at_s == 99.0
     assert len(newest) < 20
     assert {len(each.detail) for each in newest} == {400}
-
-
-@pytest.mark.parametrize(
-    ("priority", "obtained", "noted"), [(30, "fifo", 0), (30, "short_slice", 1), (0, "normal", 0)]
-)
-def test_the_want_of_the_real_time_class_is_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, priority: int, obtained: str, noted: int
-) -> None:
-    monkeypatch.setenv(INCIDENTS, str(tmp_path / "incidents"))
-    note_scheduling("controller", priority, obtained)
-    assert [each.cause for each in incidents_here().newest()] == ["machine.no_real_time"] * noted

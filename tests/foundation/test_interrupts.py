@@ -37,13 +37,6 @@ def test_it_comes_after_the_block_and_as_ever_after_that() -> None:
         press_ctrl_c()
 
 
-def test_without_one_nothing_comes() -> None:
-    usual = signal.getsignal(signal.SIGINT)
-    with interrupt_later():
-        pass
-    assert signal.getsignal(signal.SIGINT) is usual
-
-
 def test_other_threads_run_it_as_it_is() -> None:
     ran: list[bool] = []
 

@@ -76,9 +76,9 @@ def test_the_command_line_becomes_options(tmp_path: Path) -> None:
     assert service_main(program(made), [*words, "--config-dir", "c", "--record-dir", str(tmp_path)]) == 0
     overrides = {"plant": {"payload": {"mass_kg": 50}, "seed": 1}, "scene": {"n": 2}}
     switched = overrides | {"plant_service": {"live": {"port": 0}, "allowed": True}}
-    assert made.options == ServiceOptions(Path("c"), switched, tmp_path, None)
+    assert made.options == ServiceOptions(Path("c"), switched, tmp_path)
     assert service_main(program(made), []) == 0
-    assert made.options == ServiceOptions(Path("configs"), {}, None, None)
+    assert made.options == ServiceOptions(Path("configs"), {}, None)
 
 
 def test_the_status_of_the_service_is_the_status_of_the_process(capsys: pytest.CaptureFixture[str]) -> None:
@@ -96,14 +96,6 @@ def test_what_is_raised_on_purpose_is_one_line_and_status_2(
 ) -> None:
     assert service_main(program(Made(refusing(error))), []) == 2
     assert capsys.readouterr().err == f"plant_emulator: {error.cause}: {error}\n"
-
-
-def test_a_bug_is_one_line_of_the_log_and_status_1(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        service_main(program(Made(refusing(IndexError("beyond")))), [])
-    assert ended.value.code == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert json.loads(line)["detail"] == "IndexError('beyond')"
 
 
 def test_an_interrupt_leaves_no_traceback(capsys: pytest.CaptureFixture[str]) -> None:

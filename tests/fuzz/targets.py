@@ -25,8 +25,8 @@ from protocol.process_image import (
 )
 from protocol.stereo_frame import HEADER_BYTES as FRAME_BYTES
 from protocol.stereo_frame import FrameHeader, decode_header, encode_header
+from tests.protocol.sample_messages import MESSAGES
 from tests.protocol.wire import Wire
-from tools.sample_messages import MESSAGES
 
 _SENSORS = encode_sensors(SensorImage(7, 9, 3, (1, -2, 3, -4, 5, 6), ((50.0, 60.0),) * 6, 190.0, 10.0, 40.0))
 _VALVES = encode_valves(ValveImage(9, 1, (0.5, -0.5, 0.0, 1.0, -1.0, 0.1)))

@@ -2,34 +2,40 @@
 
 import ast
 import re
+import subprocess
 import tomllib
 
 import pytest
 
 from tests.house import measures
 
-# What the house may weigh: a hundredth more than it does, so that no regression test is forbidden. A cut
-# lowers it in its own commit. It is raised only in a commit that names what was asked for, and lowers another
-# line by as much.
+# What the house may weigh. A cut lowers its limit in its own commit. A limit is raised only in a commit that
+# names what was asked for, and lowers another by as much. A patch may exceed it by PATCH; the next cut brings
+# the house below again (tests/packaging/test_contributions.py always adds one patch more).
 BUDGET = {
-    "lines of source": 95_265,
-    "statements of source": 47_672,
-    "statements of ROS 2": 879,
-    "statements of conformance": 4_824,
-    "statements of laboratory": 2_782,
+    "lines of source": 83_954,
+    "statements of source": 41_867,
+    "statements of ROS 2": 877,
+    "statements of conformance": 4_339,
+    "statements of laboratory": 1_981,
     "statements of structured text": 2_579,
-    "statements of the product": 36_532,
-    "lines that the three services import": 55_040,
-    "lines of tests": 58_760,
-    "statements of tests": 32_331,
-    "lines of structured text, JavaScript, CSS and HTML": 8_485,
-    "modules": 613,
-    "words of pages": 46_460,
-    "words of the README": 692,
-    "configuration keys": 577,
-    "constants of vision without a tag": 367,
-    "constants of the controller without a tag": 21,
+    "statements of the product": 32_072,
+    "lines that the three services import": 51_127,
+    "lines of tests": 56_389,
+    "statements of tests": 30_625,
+    # Asked for: the console holds time and shows its pace. For it went the fold of the valves' trials by eye.
+    "lines of structured text, JavaScript, CSS and HTML": 8_493,
+    "modules": 593,
+    # Asked for: the page of the plant's clock (650 words) and its decision. For it went eight decisions and
+    # the words of overload.
+    "words of pages": 46_394,
+    "words of the README": 686,
+    "configuration keys": 539,
+    "constants of vision without a tag": 313,
+    "constants of the controller without a tag": 20,
 }
+PATCH = {"lines": 100, "statements": 50, "words": 50}
+"""What a patch may add beyond a limit, by the first word of its name; of others one."""
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +43,24 @@ def every() -> list[measures.Module]:
     return measures.modules(measures.ROOT)
 
 
-def test_the_house_weighs_no_more_than_its_budget() -> None:
+def over_budget(weighs: dict[str, int]) -> list[str]:
+    """The lines over their limit by more than a patch."""
+    most = {what: limit + PATCH.get(what.split()[0], 1) for what, limit in BUDGET.items()}
+    return [
+        f"{what}: {count}, at most {BUDGET[what]}" for what, count in weighs.items() if count > most[what]
+    ]
+
+
+def test_the_house_weighs_no_more_than_its_budget_and_a_patch() -> None:
     weighs = measures.mass(measures.ROOT)
     assert weighs.keys() == BUDGET.keys()
-    over = [
-        f"{what}: {count}, at most {BUDGET[what]}" for what, count in weighs.items() if count > BUDGET[what]
-    ]
-    assert over == [], "take something away first: see BUDGET"
+    assert over_budget(weighs) == [], "take something away first: see BUDGET"
+
+
+def test_a_patch_fits_above_every_limit_and_no_more() -> None:
+    patch = {what: limit + (50 if what.startswith("words") else 1) for what, limit in BUDGET.items()}
+    assert over_budget(patch) == []
+    assert len(over_budget({what: limit + 101 for what, limit in BUDGET.items()})) == len(BUDGET)
 
 
 def test_merged_modules_and_joined_lines_weigh_as_much() -> None:
@@ -133,3 +150,9 @@ def test_no_name_of_the_makefile_is_given_twice() -> None:
     names = [match[1] for line in lines if (match := re.match(r"(\w+)\s*[:?]?=", line))]
     assert names, "no assignment was found"
     assert [name for name in names if names.count(name) > 1] == []
+
+
+def test_every_path_that_is_left_to_test_all_is_there() -> None:
+    database = subprocess.check_output(["make", "-pn", "help"], cwd=measures.ROOT, text=True)
+    listed = re.search(r"^LABORATORY := (.*)", database, re.MULTILINE)[1]
+    assert [path for path in listed.split() if not (measures.ROOT / path).exists()] == []

@@ -149,12 +149,3 @@ def test_the_three_services_are_started_anew_and_note_their_crashes() -> None:
         assert each["command"][:3] == ["python", "-m", "testbed.realtime.contained"]
         folder = each["environment"][INCIDENTS].rpartition("/")[0]
         assert f"incidents:{folder}" in each["volumes"]
-
-
-def test_real_time_is_one_right_of_plant_and_controller() -> None:
-    override = yaml.safe_load((ROOT / "compose.realtime.yml").read_text())["services"]
-    assert set(override) == {"plant", "controller"}
-    for each in override.values():
-        assert "--reuid=longreach" in each["entrypoint"]
-        assert "--bounding-set=-all,+sys_nice" in each["entrypoint"]
-        assert set(each) == {"user", "cap_add", "entrypoint"}, "nothing else is loosened"

@@ -123,9 +123,8 @@ def containers() -> Iterator[Containers]:
         running.call("down", "-v")
 
 
-def test_compose_accepts_the_files(spelling: str) -> None:
+def test_compose_accepts_the_file(spelling: str) -> None:
     described(spelling).call("config", "-q")
-    described(spelling, str(ROOT / "compose.realtime.yml")).call("config", "-q")
 
 
 def test_the_first_block_of_the_page_runs(spelling: str, tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def watched(directory: Path) -> Iterator[Rig]:
     done = threading.Event()
     with (
         supervised(launch.services, directory, most_crashes=MORE_THAN_ALL) as supervisor,
-        httpx.Client(base_url=launch.rest_url, timeout=10.0) as face,
+        httpx.Client(base_url=launch.rest_url, timeout=90.0) as face,
     ):
 
         def watch() -> None:
@@ -52,7 +52,7 @@ def watched(directory: Path) -> Iterator[Rig]:
             watcher.join(READY_S)
 
 
-@pytest.mark.realtime
+@pytest.mark.processes
 @pytest.mark.slow("three services start, and each of them once more")
 @pytest.mark.timeout(400)
 def test_each_killed_service_is_started_anew_alone_and_the_arm_stays_disabled(tmp_path: Path) -> None:

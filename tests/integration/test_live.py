@@ -1,10 +1,7 @@
 """Three services shown live through one face: every part speaks, every figure that is kept is told."""
 
 import asyncio
-import json
-import time
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -19,7 +16,7 @@ from tests.integration.services import Running, running
 from tests.support.grafana import metrics
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.processes
 
 TABLES = {PLANT: OF_PLANT, CONTROLLER: OF_CONTROLLER, VISION: OF_VISION}
 # Told otherwise: shares and percentiles as counters and histograms, words and instants not at all.
@@ -111,30 +108,3 @@ async def test_every_figure_is_told(rig: Running) -> None:
     asked = {name for name in metrics() if name.endswith("_bucket")}
     assert asked
     assert asked <= histograms, "the dashboard asks for what is told"
-
-
-def leaves(table: Mapping[str, Any], above: str = "") -> Iterator[str]:
-    for key, value in table.items():
-        path = f"{above}{key}"
-        if isinstance(value, Mapping):
-            yield from leaves(value, f"{path}.")
-        elif isinstance(value, int | float):
-            yield path
-
-
-@pytest.mark.slow("three services, and a period of their statistics")
-def test_no_figure_of_the_statistics_is_left_out(rig: Running) -> None:
-    for name, table in TABLES.items():
-        paths = {figure.path for figure in table}
-        labelled = tuple(f"{figure.path}." for figure in table if figure.label)
-        for path in leaves(json.loads(written(rig.launch.statistics(name)))):
-            if not path.endswith(DERIVED) and not path.startswith(labelled):
-                assert path in paths, f"{name}: {path}"
-
-
-def written(path: Path) -> str:
-    """A file that a service writes every ten seconds, replacing it as a whole."""
-    deadline = time.monotonic() + WITHIN_S
-    while not path.exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    return path.read_text()

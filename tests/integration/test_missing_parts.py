@@ -43,18 +43,8 @@ def test_without_a_plant_nothing_can_be_enabled_and_camera_and_plant_are_named(t
 
 
 @pytest.mark.slow("services start")
-def test_without_a_controller_the_face_says_so(tmp_path: Path) -> None:
-    with running(tmp_path, only=(VISION,)) as rig:
-        state = rig.face.get("/state")
-        assert state.status_code == 503
-        assert state.json()["cause"].startswith("link.")
-        assert "controller" in rig.face.get("/health").json()["detail"]
-        assert rig.face.post("/enable").status_code == 503
-
-
-@pytest.mark.slow("services start")
 def test_a_plant_that_is_killed_stops_the_controller_with_a_latched_cause(tmp_path: Path) -> None:
-    with running(tmp_path) as rig:
+    with running(tmp_path, by_wall=True) as rig:
         wait_for(rig.face, "/health", 200, 60.0)
         assert rig.face.post("/enable").status_code == 200
         rig.supervisor.children[PLANT].kill()
@@ -67,8 +57,21 @@ def test_a_plant_that_is_killed_stops_the_controller_with_a_latched_cause(tmp_pa
 
 
 @pytest.mark.slow("services start")
+def test_a_plant_that_is_killed_is_named_by_who_follows_its_clock(tmp_path: Path) -> None:
+    with running(tmp_path) as rig:
+        wait_for(rig.face, "/health", 200, 60.0)
+        rig.supervisor.children[PLANT].kill()
+        deadline = time.monotonic() + 30.0
+        while "clock.unanswered: plant_emulator" not in (said := rig.face.get("/health").text):
+            assert time.monotonic() < deadline, said
+            time.sleep(0.2)
+        stands = [rig.face.get("/clock").json() for _ in range(2)]
+        assert stands[0]["time_ns"] == stands[1]["time_ns"]
+
+
+@pytest.mark.slow("services start")
 def test_up_tells_where_things_run_and_ends_cleanly_on_sigterm(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "testbed.cli", "up", "--free-ports", "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "longreach", "up", "--free-ports", "--out", str(tmp_path)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as up:
         assert up.stdout is not None
         said = ""

@@ -15,14 +15,15 @@ import pytest
 import yaml
 
 from testbed.realtime.launch import free_port
-from tests.integration.services import Running, running, until_healthy
+from tests.integration.services import Running, running
+from tests.support.crash_trials import until_healthy
 from tests.support.grafana import expressions
 from tests.support.paths import ROOT
 
 _PLACES = os.pathsep.join((str(Path(sys.prefix) / "prometheus/usr/bin"), os.environ.get("PATH", os.defpath)))
 PROMETHEUS, PROMTOOL = (shutil.which(name, path=_PLACES) for name in ("prometheus", "promtool"))
 pytestmark = [
-    pytest.mark.realtime,
+    pytest.mark.processes,
     pytest.mark.skipif(PROMETHEUS is None, reason="no Prometheus here (make prometheus)"),
 ]
 _WITHIN_S, _SCRAPES = 60.0, 8
@@ -80,7 +81,7 @@ def until_scraped(client: httpx.Client) -> None:
 
 def test_prometheus_reads_every_figure_and_answers_every_panel(tmp_path: Path) -> None:
     with running(tmp_path, foxglove=0) as rig:
-        until_healthy(rig)
+        until_healthy(rig.face)
         rig.face.post("/operations/look", headers={"Prefer": "wait=30"})
         text = httpx.get(f"http://127.0.0.1:{rig.launch.foxglove}/metrics").text
         assert PROMTOOL is not None

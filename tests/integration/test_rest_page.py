@@ -1,4 +1,4 @@
-"""The block of rest.md, as it stands, against `longreach up`."""
+"""The blocks of pages that ask running services, as they stand, against `longreach up`."""
 
 import re
 import signal
@@ -6,40 +6,34 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
-from tests.support.page_runner import API, judge_rest_block, pasted, shell_blocks
+from tests.support.page_runner import API, documents, judge_rest_block, pasted, refusals, shell_blocks
 from tests.support.paths import CONFIGS
-from tests.support.patience import PATIENT
 
-# What is starved keeps its session, and its camera.
-_OURS = ("controller.reference_link.link_timeout_ms=5000", "vision.camera.stale_ms=8000", *PATIENT)
+pytestmark = [pytest.mark.processes, pytest.mark.slow("minutes of motions"), pytest.mark.timeout(1800)]
 
-pytestmark = [pytest.mark.realtime, pytest.mark.slow("a minute of motions"), pytest.mark.timeout(600)]
-
-
-class Up(NamedTuple):
-    """The address of a testbed that `longreach up` has started, and what it said since."""
-
-    url: str
-    said: list[str]
+FAULTS = "http://127.0.0.1:8010"
+WITHIN_S = 1500.0
 
 
-@pytest.fixture
-def up(tmp_path: Path) -> Iterator[Up]:
-    words = [sys.executable, "-u", "-m", "testbed.cli", "up", "--free-ports", "--config-dir", str(CONFIGS)]
-    words += ["--out", str(tmp_path / "runs"), *(word for one in _OURS for word in ("--set", one))]
+@contextmanager
+def up(folder: Path, *options: str) -> Iterator[tuple[str, str]]:
+    """The addresses, REST and faults, of a testbed that `longreach up` has started."""
+    words = [sys.executable, "-u", "-m", "longreach", "up", "--free-ports", "--config-dir", str(CONFIGS)]
+    words += ["--pace", "0", "--allow-faults", *options, "--out", str(folder / "runs")]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    said: list[str] = []
+    reader = threading.Thread(target=process.stdout.read)
     try:
-        began = next(line for line in process.stdout if "REST API" in line)
-        reader = threading.Thread(target=said.extend, args=(process.stdout,))
+        found: dict[str, str] = {}
+        while "REST API" not in found:
+            found |= dict(re.findall(r"([\w ]+): (http://127\.0\.0\.1:\d+)", next(process.stdout)))
         reader.start()
-        yield Up(re.findall(r"http://127\.0\.0\.1:\d+", began)[0], said)
+        yield found["REST API"], found["faults"]
     finally:
         process.send_signal(signal.SIGTERM)
         process.wait(timeout=30.0)
@@ -47,16 +41,26 @@ def up(tmp_path: Path) -> Iterator[Up]:
         process.stdout.close()
 
 
-def test_the_block_of_the_page_works_against_up(up: Up, tmp_path: Path) -> None:
-    (block,) = shell_blocks("rest.md")
-    assert API in block
+def test_the_blocks_of_rest_and_faults_work_against_up(tmp_path: Path) -> None:
+    """And what the first of them leaves behind is a machine that takes the other's faults."""
     nowhere = {"COMPOSE_FILE": str(tmp_path / "none.yml")}  # no containers: there is no token
-    printed = pasted(block, up.url, tmp_path, nowhere, "docker compose", 500.0)
-    try:
-        judge_rest_block(printed, tmp_path)
-    except AssertionError:
-        # Legs of which few pictures came, a session or a camera that was starved: the testbed says so itself.
-        for line in up.said:
-            if "overloaded" in line:
-                pytest.skip(f"this machine did not keep up with real time: {line.strip()}")
-        raise
+    ((rest_block,), (fault_block,)) = shell_blocks("rest.md"), shell_blocks("faults.md")
+    assert API in rest_block
+    assert FAULTS in fault_block
+    with up(tmp_path) as (rest, faults):
+        judge_rest_block(pasted(rest_block, rest, tmp_path, nowhere, "docker compose", WITHIN_S), tmp_path)
+        block = fault_block.replace(FAULTS, faults)
+        ordered, state, mended = documents(pasted(block, rest, tmp_path, {}, "docker compose", 60.0))
+    assert (ordered["number"], ordered["fault"]["kind"]) == (1, "valve_slow")
+    assert [each["number"] for each in (*state["active"], *state["planned"], mended)] == [1, 1]
+
+
+def test_the_block_of_targets_drives_to_a_hole(tmp_path: Path) -> None:
+    with up(tmp_path, "--scenario", "drill_face") as (rest, _):
+        block = shell_blocks("targets.md")[1]
+        assert API in block
+        answers = documents(pasted(block, rest, tmp_path, {}, "docker compose", WITHIN_S))
+    assert not refusals(answers), refusals(answers)
+    kept, _, _, driven, visited, *_ = answers
+    assert (kept["id"], kept["kind"]) == ("t1", "hole")
+    assert driven["result"]["verdict"] == visited["result"]["targets"][0]["verdict"] == "inside"

@@ -22,7 +22,8 @@ import pytest
 
 from protocol.faults import GroupState
 from tests.browser.stop_times import read_scans
-from tests.integration.services import Running, running, until_healthy
+from tests.integration.services import Running, running
+from tests.support.crash_trials import until_healthy
 from tests.support.hostile_http import KINDS
 from tests.support.paths import ROOT
 from tests.support.patience import PATIENT
@@ -43,8 +44,8 @@ WHICH = [*KINDS, *("drawn",) * 3]
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("stops"), *PATIENT, *SLOW) as started:
-        until_healthy(started)
+    with running(tmp_path_factory.mktemp("stops"), *PATIENT, *SLOW, by_wall=True) as started:
+        until_healthy(started.face)
         yield started
 
 
@@ -167,9 +168,9 @@ def moving(face: httpx.Client, dy_m: float) -> None:
 def test_the_arm_stops_whatever_holds_the_vision_pc_up(tmp_path: Path) -> None:
     """By every scan of the controller: among tiny chunks, and while the vision PC stands still."""
     asked_ns: dict[str, int] = {}
-    with running(tmp_path, *PATIENT, *SLOW) as rig:
+    with running(tmp_path, *PATIENT, *SLOW, by_wall=True) as rig:
         port = port_of(rig)
-        until_healthy(rig)
+        until_healthy(rig.face)
         assert rig.face.post("/enable").is_success
         moving(rig.face, 0.3)
         with attacked(port, "tiny_chunks", SEED):

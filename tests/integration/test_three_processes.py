@@ -8,30 +8,20 @@ import numpy as np
 import pytest
 
 from testbed.realtime import probe
-from testbed.realtime.launch import PLANT, VISION
+from testbed.realtime.launch import PLANT
 from testbed.realtime.rest_rig import RestRig
-from testbed.recordings.comparison import OPERATION, REFERENCE
-from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.plant_truth import read_truth
-from testbed.recordings.recorded_vision import recorded_vision
 from tests.integration.services import Running, running
-from tests.support.patience import PATIENT
 
-pytestmark = [pytest.mark.realtime, pytest.mark.slow("three services start")]
+# Its sleeps and HTTP go by the wall: once, on a stalled machine, a state was refused after a command.
+pytestmark = [pytest.mark.processes, pytest.mark.realtime, pytest.mark.slow("three services start")]
 
 HELD_M = 0.002  # what servo and leakage move the tool in the seconds of a test
-# On one core beside others' work pictures are drawn too, and a late one is no lost camera.
-SLOW = (
-    "controller.reference_link.link_timeout_ms=20000",
-    "plant.watchdog_ms=1000",
-    "scene.camera.rate_hz=2",
-    "vision.camera.stale_ms=10000",
-)
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("processes"), *PATIENT, *SLOW) as started:
+    with running(tmp_path_factory.mktemp("processes")) as started:
         face = RestRig(started.launch.rest_url)
         face.wait_healthy(180.0)
         face.close()
@@ -45,7 +35,9 @@ def face(rig: Running) -> httpx.Client:
 
 
 def tool(face: httpx.Client) -> np.ndarray:
-    return np.array(face.get("/state").json()["X_BT"]["p_m"])
+    answer = face.get("/state")
+    assert answer.status_code == httpx.codes.OK, answer.text
+    return np.array(answer.json()["X_BT"]["p_m"])
 
 
 def ended(face: httpx.Client, operation: dict[str, object], within_s: float = 40.0) -> dict[str, object]:
@@ -76,17 +68,6 @@ def test_health_and_probes_find_everybody(rig: Running, face: httpx.Client) -> N
     assert face.get("/health").status_code == 200, "the probes must not have disturbed the link"
 
 
-def test_a_move_while_disabled_is_a_problem_and_nothing_moves(face: httpx.Client) -> None:
-    face.post("/disable")
-    before = tool(face)
-    answer = face.post("/operations/move", json={"offset_base_m": [0.0, 0.1, 0.0]})
-    assert answer.status_code == 409
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert answer.json()["cause"] == "refused.disabled"
-    time.sleep(0.5)
-    assert np.linalg.norm(tool(face) - before) < HELD_M
-
-
 def test_an_unreachable_reference_fails_with_the_controllers_reason(face: httpx.Client) -> None:
     enabled(face)
     before = tool(face)
@@ -98,25 +79,6 @@ def test_an_unreachable_reference_fails_with_the_controllers_reason(face: httpx.
     assert isinstance(problem, dict)
     assert problem["cause"] in ("refused.unreachable", "refused.joint_limit", "refused.outside_workspace")
     assert face.get("/state").json()["group_state"] == "standby"
-    assert np.linalg.norm(tool(face) - before) < HELD_M
-
-
-def test_looking_while_moving_is_refused_and_stop_ends_the_motion(face: httpx.Client) -> None:
-    enabled(face)
-    moving = face.post("/operations/move", json={"offset_base_m": [0.0, 0.2, 0.0], "duration_s": 8.0})
-    assert moving.status_code == 202
-    deadline = time.monotonic() + 60.0
-    while face.get("/state").json()["group_state"] != "moving":
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    refused = face.post("/operations/look", json={})
-    assert refused.status_code == 409
-    assert refused.json()["cause"] in ("refused.moving", "refused.busy")
-    assert face.post("/stop").status_code == 200
-    assert ended(face, moving.json())["state"] in ("cancelled", "failed")
-    time.sleep(1.5)
-    before = tool(face)
-    time.sleep(0.5)
     assert np.linalg.norm(tool(face) - before) < HELD_M
 
 
@@ -133,19 +95,12 @@ def test_a_look_sees_tool_and_object_and_its_picture_can_be_had(face: httpx.Clie
     assert picture.content.startswith(b"\x89PNG")
 
 
-def test_a_move_moves_the_true_tool_as_far_as_asked_or_the_overload_is_told(
-    rig: Running, face: httpx.Client
-) -> None:
+def test_a_move_moves_the_true_tool_as_far_as_asked(rig: Running, face: httpx.Client) -> None:
     enabled(face)
-    began_ns = time.monotonic_ns()
+    began_ns = face.get("/clock").json()["time_ns"]
     operation = ended(face, face.post("/operations/move", json={"offset_base_m": [0, -0.06, 0.02]}).json())
-    if operation["state"] == "failed" and face.get("/health").json()["overload"]:
-        problem = operation["problem"]  # a machine that does not keep up: the motion ends by a named fault
-        assert isinstance(problem, dict)
-        assert problem["cause"] in ("refused.fault_plant_link_lost", "refused.fault_overrun")
-        return
     assert operation["state"] == "succeeded", operation["problem"]
-    ended_ns = time.monotonic_ns()
+    ended_ns = face.get("/clock").json()["time_ns"]
     time.sleep(0.3)
     recording = read_truth(rig.launch.records(PLANT) / "truth.mcap")
     tool_W = recording.stacked("X_WT")[:, :3, 3]
@@ -153,19 +108,3 @@ def test_a_move_moves_the_true_tool_as_far_as_asked_or_the_overload_is_told(
     first, last = np.searchsorted(times, [began_ns, ended_ns])
     went = tool_W[min(int(last), len(tool_W) - 1)] - tool_W[int(first) - 1]
     assert went == pytest.approx([0.0, -0.06, 0.02], abs=0.006)
-
-
-def test_the_recorded_programs_decide_the_same_again(rig: Running, face: httpx.Client) -> None:
-    """In real time too: what they read is recorded, in its order. One failed, one may have been cancelled."""
-    operations = face.get("/operations").json()
-    recorded = recorded_vision(rig.launch.records(VISION) / "vision.mcap")
-    deadline = time.monotonic() + 30.0
-    compared = DecisionReplay(recorded).run()
-    while compared.of[OPERATION] < len(operations) and time.monotonic() < deadline:
-        time.sleep(0.5)
-        compared = DecisionReplay(recorded).run()
-    assert compared.first is None
-    assert compared.alike == compared.of
-    assert compared.of[OPERATION] == len(operations)
-    moves = [operation for operation in operations if operation["kind"] == "move"]
-    assert compared.of[REFERENCE] >= len(moves)

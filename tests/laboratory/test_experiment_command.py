@@ -21,12 +21,12 @@ def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> No
 
 
 def test_each_method_has_its_own_defaults_and_takes_its_own_options_alone(tmp_path: Path) -> None:
-    corrected, servoing = (CATALOGUE["positioning"].load(name) for name in ("corrected", "visual-servoing"))
-    assert (corrected.runs, servoing.runs) == (200, 60)
-    words = ["experiment", "hua", "--noise-on", "camera-motions", "--out", str(tmp_path)]
+    corrected, programs = (CATALOGUE["positioning"].load(name) for name in ("corrected", "programs"))
+    assert (corrected.runs, programs.runs) == (200, 20)
+    words = ["experiment", "hua", "--largest", "3", "--out", str(tmp_path)]
     refused = CliRunner().invoke(app, [*words, "--method", "stress"])
     assert refused.exit_code == 2
-    assert "--noise-on is not an option of --method stress" in refused.stderr
+    assert "--largest is not an option of --method stress" in refused.stderr
 
 
 def test_a_verdict_is_met_or_not_by_each_limit_and_says_the_conditions(tmp_path: Path) -> None:
@@ -34,7 +34,7 @@ def test_a_verdict_is_met_or_not_by_each_limit_and_says_the_conditions(tmp_path:
     command = ["experiment", "hua", "--method", "stress", "--count", "2", "--workers", "0"]
     command += ["--out", str(rows), "--json", str(report)]
     first = CliRunner().invoke(app, command)
-    assert "seeds 1 to 2; world: drawn scenes; eyes: none: poses with noise; 0 rows reused" in first.output
+    assert "seeds 1 to 2; world: drawn scenes; eyes: none: poses with noise; configuration: " in first.output
     again = CliRunner().invoke(app, command)
     assert "2 rows reused, 0 measured now" in again.output
     assert "0 rows reused, 2 measured now" in CliRunner().invoke(app, [*command, "--fresh"]).output

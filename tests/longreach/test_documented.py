@@ -1,24 +1,19 @@
-"""README, how-to page and examples say what they do: all of them are run as they stand."""
+"""README, notebook and examples say what they do: all of them are run as they stand."""
 
-import ast
-import json
 import re
 import runpy
 import sys
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import pytest
 
-from tests.support.pages import page
 from tests.support.paths import ROOT
+from tools import printed
 
 pytestmark = [pytest.mark.slow("examples run as they stand"), pytest.mark.timeout(600)]
 
-BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
-README = BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8"))
-HOW_TO = BLOCK.findall(page("how_to/use_from_python.md"))
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 EXAMPLES = ROOT / "examples" / "python"
 
 
@@ -27,55 +22,16 @@ def in_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
 
 
-def printed(script: Path, capsys: pytest.CaptureFixture[str]) -> list[float]:
-    """The numbers that a script prints."""
-    runpy.run_path(str(script), run_name="__main__")
-    return [float(number) for number in re.findall(r"-?\d+\.?\d*", capsys.readouterr().out)]
+def numbers(said: str) -> list[float]:
+    return [float(number) for number in re.findall(r"-?\d+\.?\d*", said)]
 
 
-def ran(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> list[float]:
-    script = tmp_path / "block.py"
-    script.write_text(text, encoding="utf-8")
-    return printed(script, capsys)
-
-
-def test_the_readme_measures_what_is_true(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (block,) = README
-    measured, true = (lambda n: (n[:3], n[3:]))(ran(block, tmp_path, capsys))
+def test_the_readme_measures_what_is_true(tmp_path: Path) -> None:
+    (block,) = [block for block in printed.blocks(README) if block.language == "python"]
+    measured, true = (lambda n: (n[:3], n[3:]))(numbers(printed.output(block, tmp_path)))
     assert len(measured) == len(true) == 3
     assert measured == pytest.approx(true, abs=5.0)  # mm
     assert max(map(abs, true)) > 100.0
-
-
-def test_every_block_of_the_page_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert len(HOW_TO) == 4
-    believed_and_true = ran(HOW_TO[0], tmp_path, capsys)
-    assert believed_and_true[:3] == pytest.approx(believed_and_true[3:], abs=0.1)  # m
-    (miss_m,) = re.findall(r"[-\d.e]+", str(ran_text(HOW_TO[1], tmp_path, capsys)))
-    assert 0.0 <= float(miss_m) < 0.01
-    assert ran(HOW_TO[2], tmp_path, capsys)[:2] == [6.0, 6.0]
-    assert ran_text(HOW_TO[3], tmp_path, capsys) == "refused.disabled\n"
-
-
-def ran_text(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    script = tmp_path / "block.py"
-    script.write_text(text, encoding="utf-8")
-    runpy.run_path(str(script), run_name="__main__")
-    return capsys.readouterr().out
-
-
-def shown(
-    name: str, picture: Path, capsys: pytest.CaptureFixture[str], patch: pytest.MonkeyPatch
-) -> list[float]:
-    """The numbers that an example prints; ``picture`` is drawn by it, and is one."""
-    patch.setattr(sys, "argv", [name, str(picture)])
-    patch.setenv("MPLBACKEND", "Agg")
-    try:
-        found = printed(EXAMPLES / f"{name}.py", capsys)
-    finally:
-        plt.close("all")
-    assert plt.imread(picture).std() > 0.02  # something is drawn
-    return found
 
 
 def arrived(found: list[float]) -> bool:
@@ -108,25 +64,8 @@ EXAMPLE_CHECKS = {
 }
 
 
-def test_the_notebook_runs_from_top_to_bottom() -> None:
-    book = json.loads((ROOT / "examples" / "notebooks" / "first_run.ipynb").read_text(encoding="utf-8"))
-    cells = ["".join(cell["source"]) for cell in book["cells"] if cell["cell_type"] == "code"]
-    names: dict[str, Any] = {}
-    shown = [value_of(cell, names) for cell in cells]
-    assert "outside ±5 mm" in repr(shown[1])
-    assert "inside ±5 mm" in repr(names["after"])
-    assert "<table>" in names["after"]._repr_html_()
-    pictures = [figure for figure in shown if hasattr(figure, "savefig")]
-    assert [figure._repr_png_()[:4] for figure in pictures] == 3 * [b"\x89PNG"]
-    assert shown[-1] is True
-
-
-def value_of(cell: str, names: dict[str, Any]) -> Any:
-    """What a notebook shows of ``cell``: the value of its last line, where that is an expression."""
-    *before, last = ast.parse(cell).body
-    assert isinstance(last, ast.Expr)
-    exec(compile(ast.Module(before, []), "notebook", "exec"), names)
-    return eval(compile(ast.Expression(last.value), "notebook", "eval"), names)
+def test_the_notebook_shows_what_a_run_from_top_to_bottom_makes() -> None:
+    assert printed.stale_cells() == []
 
 
 def test_every_example_is_run_here() -> None:
@@ -143,5 +82,10 @@ ON_SOCKETS = {"own_controller"}
 def test_an_example_shows_what_it_says(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = shown(name, tmp_path / "picture.png", capsys, monkeypatch)
+    monkeypatch.setattr(sys, "argv", [name, str(tmp_path / "picture.png")])
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    plt.close("all")
+    assert plt.imread(tmp_path / "picture.png").std() > 0.02  # something is drawn
+    found = numbers(capsys.readouterr().out)
     assert EXAMPLE_CHECKS[name](found), found

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import longreach
-from longreach.rigs import CANCELLED, ConnectedRig, DrivenRig
+from longreach.rigs import SimulatedRig
 from protocol.errors import LinkLost, RequestRefused
 from tests.support.paths import CONFIGS
 from vision_pc.application.results import JudgedLook, look_json
@@ -76,12 +76,13 @@ def test_a_refusal_has_the_causes_of_the_api(service: Service) -> None:
 
 @pytest.mark.parametrize("service", [False], indirect=True)
 async def test_a_cancelled_call_stops_the_arm(service: Service) -> None:
-    async with longreach.aio.connect("http://vision") as rig:
-        call = asyncio.create_task(rig.run("look"))
+    with longreach.connect("http://vision") as rig:
+        call = asyncio.create_task(asyncio.to_thread(rig.run, "look"))
         await asyncio.to_thread(service.polled.wait, 60.0)
-        call.cancel()
-        with pytest.raises(asyncio.CancelledError):
+        rig.cancel()
+        with pytest.raises(RequestRefused) as refused:
             await call
+        assert refused.value.cause == "refused.cancelled"
         assert service.asked[-1] == "POST /stop"
 
 
@@ -97,7 +98,7 @@ def test_nobody_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def lockstep() -> longreach.rigs.SimulatedRig:
+def lockstep() -> SimulatedRig:
     return longreach.lockstep(config_dir=CONFIGS)
 
 
@@ -111,18 +112,11 @@ def lockstep() -> longreach.rigs.SimulatedRig:
     ],
 )
 def test_what_lockstep_refuses(
-    lockstep: longreach.rigs.SimulatedRig, program: str, request_: dict[str, object], cause: str
+    lockstep: SimulatedRig, program: str, request_: dict[str, object], cause: str
 ) -> None:
     with pytest.raises(longreach.LongreachError) as refused:
         lockstep.run(program, **request_)
     assert refused.value.cause == cause
-
-
-def test_both_rigs_have_every_call_of_the_async_one() -> None:
-    calls = {name for name in vars(longreach.aio.AsyncRig) if not name.startswith("_")}
-    assert calls == {name for name in vars(DrivenRig) if not name.startswith("_")} - {"close", "cancel"}
-    assert issubclass(ConnectedRig, DrivenRig)
-    assert CANCELLED == "refused.cancelled"
 
 
 def test_kinematics_go_there_and_back_and_say_where_they_cannot() -> None:

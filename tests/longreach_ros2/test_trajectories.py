@@ -95,7 +95,7 @@ WRONG: dict[str, tuple[list[Any], dict[str, Any], str]] = {
     "times": ([point(4.0, HOME), point(3.0, GOAL)], {}, "point 1 is at 3 s, not after 4 s"),
     "moving_end": ([point(8.0, GOAL, (0.1, *STILL[1:]))], {}, "slew at 0.1 rad/s, limit 0.001 rad/s"),
     "start": ([point(0.0, FAR), point(8.0, GOAL)], {}, "begins 20.0 mrad from where slew"),
-    "joint_limit": ([point(60.0, (*GOAL[:5], 1.6))], {}, "wrist3 at 90.0"),
+    "joint_limit": ([point(60.0, (*GOAL[:5], 1.6))], {}, "wrist3 at 91.67 deg after 60 s, limit 90.00 deg"),
     "too_fast": ([point(1.0, (0.5, *GOAL[1:]))], {}, "limit 15.00 deg/s"),
     "not_finite": ([point(8.0, (math.nan, *GOAL[1:]))], {}, "point 0: positions [nan"),
     "joints": ([point(8.0, GOAL)], {"names": (*JOINT_NAMES[:5], "elbow")}, "missing: wrist3; unknown: elbow"),

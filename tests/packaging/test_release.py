@@ -22,6 +22,7 @@ def test_all_that_states_a_version_states_the_same() -> None:
     stated["CITATION.cff"] = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     stated["CHANGELOG.md"] = re.findall(r"^## (\d+\.\d+\.\d+)", changes, re.MULTILINE)[0]
+    stated["README.md"] = re.findall(r"version (\d+\.\d+\.\d+)", (ROOT / "README.md").read_text())[0]
     assert len(set(stated.values())) == 1, stated
     assert len(changes.splitlines()) <= 80
 

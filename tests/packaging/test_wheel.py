@@ -85,7 +85,7 @@ def test_the_laboratory_is_not_in_it_and_its_commands_say_how_to_get_it(installe
     helped = run(installed, "-c", _WITHOUT_LABORATORY.format(["--help"]))
     assert "that write tables" not in helped
     assert "demo" in helped
-    run(installed, "-c", _WITHOUT_LABORATORY.format(["programs"]))
+    run(installed, "-c", _WITHOUT_LABORATORY.format(["arm", "list"]))
     with pytest.raises(AssertionError, match=r"extension\.not_installed.*pip install \./laboratory"):
         run(installed, "-c", _WITHOUT_LABORATORY.format(["experiment", "--help"]))
 

@@ -10,7 +10,6 @@ from protocol.channel import (
     Arrival,
     Channel,
     LinkStatistics,
-    SequenceWindow,
     TransitAge,
 )
 from protocol.datagram import Header, decode
@@ -62,12 +61,6 @@ def test_order_is_judged_as_by_one_who_remembers_everything(start: int, steps: l
     assert tally.duplicated == expected.count(Arrival.DUPLICATE)
     assert tally.received == 1 + expected.count(Arrival.NEW)
     assert tally.dropped == len(expected) - expected.count(Arrival.NEW)
-
-
-def test_the_number_wraps_without_a_gap() -> None:
-    window = SequenceWindow(SEQUENCE_MODULUS - 2)
-    assert [window.arrive(n) for n in (SEQUENCE_MODULUS - 1, 0, 1)] == [(Arrival.NEW, 0)] * 3
-    assert window.arrive(SEQUENCE_MODULUS - 1) == (Arrival.DUPLICATE, 0)
 
 
 def test_the_longest_gap_is_remembered() -> None:

@@ -3,6 +3,7 @@
 import json
 import math
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -32,11 +33,10 @@ from protocol.reference_messages import (
     ReferencePose,
     UnusableRequest,
 )
+from tests.protocol.sample_messages import HEADER, MESSAGES, POSE
 from tests.protocol.strategies import headers, messages
-from tools.protocol_page import GOLDEN as GOLDEN_FILE
-from tools.sample_messages import HEADER, MESSAGES, POSE
 
-GOLDEN = json.loads(GOLDEN_FILE.read_text())
+GOLDEN = json.loads(Path(__file__).with_name("golden_datagrams.json").read_text())
 by_name = pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 
 

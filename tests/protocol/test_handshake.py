@@ -6,14 +6,12 @@ import pytest
 
 from conformance.wire import with_number
 from protocol.authentication import LinkKey
-from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import Bye, Command, Heartbeat, Hello, State
-from protocol.session_events import RequestReceived, SessionClosed, SessionOpened
-from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, Wire, a_server
-from tools.sample_messages import MESSAGES
+from tests.protocol.sample_messages import MESSAGES
+from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, a_server
 
 STATE = next(m for m in MESSAGES if isinstance(m, State))
 T0 = 10**12
@@ -55,23 +53,6 @@ def test_who_has_not_proved_to_hear_is_sent_at_most_three_times_what_he_sent(flo
     assert set(to) <= {"spoofed"}
     assert to["spoofed"] <= 3 * sum(map(len, datagrams))
     assert to["spoofed"] or flood != "one HELLO"
-
-
-@pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
-def test_a_hello_with_the_client_s_address_ends_nothing(key: LinkKey | None) -> None:
-    """Recorded or forged: the sender has not read what WELCOME says."""
-    wire = Wire(server=a_server(key=key), client=ReferenceClient(7, key=key)).connect()
-    opened = wire.server.session
-    wire.server_events.clear()
-    for n in range(5):
-        wire.give_server(hello(900 + n, 1, key=key))
-        wire.run(20)
-    asked = wire.client.submit(Command(0, CommandCode.STOP), wire.now_ns)
-    wire.run(2 * TIMEOUT_MS)
-    assert wire.server.session == opened
-    assert wire.client.connected
-    assert not [e for e in wire.server_events if isinstance(e, SessionOpened | SessionClosed)]
-    assert [e.message.command_id for e in wire.server_events if isinstance(e, RequestReceived)] == [asked]
 
 
 def test_bye_withdraws_a_grant() -> None:

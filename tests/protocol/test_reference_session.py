@@ -13,8 +13,8 @@ from protocol.reference_messages import (
 from protocol.session_events import (
     StateReceived,
 )
+from tests.protocol.sample_messages import MESSAGES
 from tests.protocol.wire import BOOT, MS, Wire, a_server, dropped_causes, kind_of
-from tools.sample_messages import MESSAGES
 
 MOVE = ReferencePose(0, IDENTITY, 1.0)
 STATE = next(m for m in MESSAGES if isinstance(m, State))

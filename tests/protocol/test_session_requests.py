@@ -38,34 +38,6 @@ class TestRequests:
         ]
         assert answers(wire) == [Acknowledgement(i, Reason.ACCEPTED, 0.0, 0.0) for i in asked]
 
-    def test_a_request_is_resent_under_its_id_until_it_is_answered(self) -> None:
-        wire = Wire().connect()
-        refused = wire.loses_first(3, "Command")
-        asked = wire.client.submit(STOP, wire.now_ns)
-        wire.run(200)
-        assert len(refused) == 3
-        assert len({decode(data).header.sequence for data in refused}) == 3
-        assert wire.requests() == [STOP._replace(command_id=asked)]
-        assert [a.command_id for a in answers(wire)] == [asked]
-
-    def test_a_lost_answer_is_repeated_and_not_executed_again(self) -> None:
-        wire = Wire(answer=Reason.UNREACHABLE).connect()
-        wire.loses_first(4, "Acknowledgement")
-        asked = wire.client.submit(MOVE, wire.now_ns)
-        wire.run(300)
-        assert len(wire.requests()) == 1
-        assert answers(wire) == [Acknowledgement(asked, Reason.UNREACHABLE, 0.0, 0.0)]
-
-    def test_a_request_is_not_answered_before_the_controller_has_decided(self) -> None:
-        wire = Wire(answer=None).connect()
-        asked = wire.client.submit(MOVE, wire.now_ns)
-        wire.run(150)
-        assert len(wire.requests()) == 1
-        assert answers(wire) == []
-        wire.server.acknowledge(Acknowledgement(asked, Reason.JOINT_LIMIT, 1.7, 1.6), wire.server_ns)
-        wire.run(10)
-        assert answers(wire) == [Acknowledgement(asked, Reason.JOINT_LIMIT, 1.7, 1.6)]
-
     def test_a_request_with_nan_is_recognised_when_it_comes_again(self) -> None:
         wire = Wire(answer=Reason.NOT_FINITE).connect()
         nan = MOVE._replace(command_id=5, duration_s=float("nan"))

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from conformance.wire import with_number
+from protocol.authentication import LinkKey
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode
 from protocol.faults import CommandCode, Reason
@@ -21,9 +22,9 @@ from protocol.reference_messages import (
 )
 from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived
+from tests.protocol.sample_messages import MESSAGES, POSE
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server
-from tools.sample_messages import MESSAGES, POSE
-from tools.tables import CLIENT_ROWS, SERVER_ROWS, Row
+from tests.support.pages import SessionRow, session_rows
 
 WELCOME = next(m for m in MESSAGES if isinstance(m, Welcome))
 STATE = next(m for m in MESSAGES if isinstance(m, State))
@@ -42,13 +43,13 @@ def spoken(data: bytes) -> str:
 
 
 class ServerBench:
-    """A server in the state that a row starts from."""
+    """A server, with a key or without one, in the state that a row starts from."""
 
-    def __init__(self, state: str) -> None:
-        self.server: ReferenceServer = a_server()
-        self.now_ns = T0
-        self.sequence = 100
-        self.session = 0
+    def __init__(self, state: str, secret: LinkKey | None = None) -> None:
+        self.server: ReferenceServer = a_server(key=secret)
+        self.secret = secret
+        self.now_ns, self.sequence, self.session = T0, 100, 0
+        self.key = secret.of_hello() if secret else None
         if state == "OPEN":
             self.greet(1)
             self.give(Heartbeat(self.now_ns))
@@ -56,21 +57,29 @@ class ServerBench:
         self.begun = self.server.session
 
     def greet(self, nonce: int) -> None:
-        """HELLO; what follows is of the session that its WELCOME names."""
+        """HELLO; what follows is of the session that its WELCOME names, under its keys."""
+        self.key = self.secret.of_hello() if self.secret else None
         self.give(Hello(nonce, 1, 0, 20), session=0)
-        ((welcome, _),) = self.server.outgoing()
-        self.session = decode(welcome).header.session
+        ((data, _),) = self.server.outgoing()
+        header, welcome = decode(data)
+        assert isinstance(welcome, Welcome)
+        self.session = header.session
+        if self.secret:
+            self.key = self.secret.of_client(nonce, header.session, welcome.boot_id).sends
 
     def give(
         self, message: Message, session: int | None = None, source: str = "a", sent_ns: int | None = None
-    ) -> None:
+    ) -> bytes:
+        """Hands over one datagram; it takes the next number."""
         self.sequence += 1
         header = Header(
             self.session if session is None else session,
             self.sequence,
             self.now_ns if sent_ns is None else sent_ns,
         )
-        self.give_bytes(encode(message, header), source)
+        data = encode(message, header, self.key)
+        self.give_bytes(data, source)
+        return data
 
     def give_bytes(self, data: bytes, source: str = "a") -> None:
         self.executed = [
@@ -218,8 +227,8 @@ SERVER_WORDS = {
 }
 
 
-@pytest.mark.parametrize("row", SERVER_ROWS, ids=lambda row: f"{row.state}: {row.event}")
-def test_the_server_does_as_its_table_says(row: Row) -> None:
+@pytest.mark.parametrize("row", session_rows("server states"), ids=lambda row: f"{row.state}: {row.event}")
+def test_the_server_does_as_its_table_says(row: SessionRow) -> None:
     bench = ServerBench(row.state)
     SERVER_PLAYS[row.state, row.event](bench)
     assert bench.outcome() == (row.then, SERVER_WORDS.get(row.sends, row.sends))
@@ -347,8 +356,8 @@ CLIENT_WORDS = {
 }
 
 
-@pytest.mark.parametrize("row", CLIENT_ROWS, ids=lambda row: f"{row.state}: {row.event}")
-def test_the_client_does_as_its_table_says(row: Row) -> None:
+@pytest.mark.parametrize("row", session_rows("client states"), ids=lambda row: f"{row.state}: {row.event}")
+def test_the_client_does_as_its_table_says(row: SessionRow) -> None:
     bench = ClientBench(row.state)
     CLIENT_PLAYS[row.state, row.event](bench)
     assert bench.outcome() == (row.then, CLIENT_WORDS.get(row.sends, row.sends))

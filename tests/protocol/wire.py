@@ -97,19 +97,6 @@ class Wire:
             self.step()
         return self
 
-    def loses_first(self, count: int, kind: str) -> list[bytes]:
-        """From now on the first ``count`` datagrams of ``kind`` vanish; into the list that is returned."""
-        lost: list[bytes] = []
-
-        def loses(direction: str, data: bytes) -> bool:
-            vanishes = kind_of(data) == kind and len(lost) < count
-            if vanishes:
-                lost.append(data)
-            return vanishes
-
-        self.loses = loses
-        return lost
-
     def connect(self) -> "Wire":
         """Runs until the session is open at both ends."""
         self.client.connect(self.now_ns)

@@ -8,7 +8,7 @@ import numpy as np
 
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.config.surroundings import AnyBoardConfig, CharucoConfig, CheckerboardConfig
-from plant_emulator.core.camera.cabinet import board_pose
+from plant_emulator.core.camera.boards import board_pose
 from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera

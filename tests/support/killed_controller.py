@@ -28,11 +28,12 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
     decode_sensors,
 )
+from testbed.choices import ClockKind, Timing
 from testbed.realtime.child import Service
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
-from testbed.realtime.live_client import LiveClient
 from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.recordings.plant_truth import Recording, read_truth
+from tests.support.live_client import LiveClient
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows
 CLOSING_MS = 30.0  # drive electronics and servo valve, from the centred word to the shut spool
@@ -83,7 +84,7 @@ class KillRig:
 
     def start(self) -> None:
         """A controller that is ready."""
-        self._supervisor.start(self._controller)
+        self._supervisor.start(self._controller, say=str)
 
     def moving(self, rng: np.random.Generator) -> None:
         """The arm in the middle of a random motion."""
@@ -178,12 +179,13 @@ def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iter
     """Plant and controller running, without anybody at the camera, and a client that is not yet connected."""
     overrides = merged(
         {
-            "plant_service": {"truth_hz": _TRUTH_HZ, "renderer_scheduling": "normal"},
+            "plant_service": {"truth_hz": _TRUTH_HZ},
             "scene": {"camera": {"rate_hz": 1.0}},  # nobody looks
         },
         parse_overrides(assignments),
     )
-    launch = prepare(config_dir, overrides, directory, any_ports=True)
+    wall = Timing(ClockKind.WALL)  # the client is foreign
+    launch = prepare(config_dir, overrides, directory, any_ports=True, timing=wall)
     services = [service for service in launch.services if service.name in (PLANT, CONTROLLER)]
     with supervised(services, directory) as supervisor:
         rig = KillRig(launch, supervisor)

@@ -6,7 +6,8 @@
 
 A machine is a set of variables: the processor that numba compiles for, OpenBLAS' kernel, and the instructions
 that numpy, OpenCV and the C library may not use. Each has a cache of compiled kernels of its own. Before its
-tests, the libraries are listed in which its last digits differ. Exit status 1: tests failed.
+tests, the libraries are listed in which its last digits differ. A machine whose instructions this
+processor lacks is named and not tried. Exit status 1: tests failed.
 """
 
 import datetime
@@ -66,6 +67,14 @@ MACHINES: dict[str, dict[str, str]] = {
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX,-AVX2,-FMA,-FMA4,-AVX512F",
     },
 }
+_INSTRUCTIONS: dict[
+    str, set[str]
+] = {  # what numba's and OpenBLAS' code for the machine executes, as Linux names it
+    "haswell": {"avx2", "fma", "bmi2"},
+    "zen": {"avx2", "fma", "bmi2"},
+    "skylake": {"avx2", "fma", "bmi2", "avx512f", "avx512vl", "avx512bw", "avx512dq", "avx512cd"},
+    "nehalem": {"sse4_2"},
+}
 _DIGITS = """
 import hashlib, json, math
 import cv2, numpy as np
@@ -120,22 +129,41 @@ def run(name: str, processes: str) -> Outcome:
     return Outcome(counted[-1] if counted else "none ran", failed, time.monotonic() - began_s)
 
 
-def of_today(day: int) -> list[str]:
-    """One machine and one disturbance, by the number of the day."""
-    return [list(MACHINES)[day % len(MACHINES)], DISTURBANCES[day % len(DISTURBANCES)]]
+def own_instructions() -> set[str]:
+    """The instruction sets of this processor as Linux names them; none on another operating system."""
+    try:
+        return set(re.findall(r"\S+", Path("/proc/cpuinfo").read_text("utf-8")))
+    except FileNotFoundError:
+        return set()
+
+
+def lacking(name: str, own: set[str]) -> str:
+    """The instructions that machine ``name`` executes and a processor with ``own`` has not; else empty."""
+    return ", ".join(sorted(_INSTRUCTIONS.get(name, set()) - own))
+
+
+def of_today(day: int, own: set[str]) -> list[str]:
+    """By the day's number, a machine that a processor with ``own`` can stand for, and a disturbance."""
+    possible = [name for name in MACHINES if not lacking(name, own)]
+    machine = [possible[day % len(possible)]] if possible else []
+    return [*machine, DISTURBANCES[day % len(DISTURBANCES)]]
 
 
 def main(*asked: str) -> int:
     """Exit status: 0 when all passed."""
+    own = own_instructions()
     names = list(asked) or [*MACHINES, *DISTURBANCES]
     if asked == ("--today",):
-        names = of_today(datetime.date.today().toordinal())
+        names = of_today(datetime.date.today().toordinal(), own)
     if unknown := set(names) - {*MACHINES, *DISTURBANCES}:
         out.print(f"{sorted(unknown)[0]}: one of {', '.join([*MACHINES, *DISTURBANCES])} is expected")
         return 2
     table = Table("machine or disturbance", "last digits differ in", "tests", "s", title="numerical tests")
     failed = []
     for name in names:
+        if absent := lacking(name, own):
+            table.add_row(name, f"this processor has no {absent}", "not tried", "0")
+            continue
         digits = "inputs, by 1e-9" if name in DISTURBANCES else different_digits(name)
         outcome = run(name, os.environ.get("PROCESSES", "2"))
         table.add_row(name, digits, outcome.counted, f"{outcome.seconds:.0f}")

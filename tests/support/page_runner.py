@@ -1,4 +1,4 @@
-"""A page's own commands, run as they stand, and what the page says that they print."""
+"""A page's own commands for running services, pasted as they stand, and what they answer."""
 
 import json
 import os
@@ -6,55 +6,12 @@ import re
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from tests.support.pages import page
+from tools.printed import NUMBER, blocks
 
 API = "http://127.0.0.1:8000"
-_FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
-
-
-class Block(NamedTuple):
-    """A block in ``language`` (sh, python), and the lines that the page says it prints."""
-
-    language: str
-    text: str
-    printed: tuple[str, ...]
-
-
-def blocks(text: str) -> list[Block]:
-    """The blocks of a page that can be run, in order, each with the ``text`` block behind it, if any."""
-    found: list[Block] = []
-    for language, inside in _FENCED.findall(text):
-        if language == "text":
-            assert found, f"nothing is run before {inside!r}"
-            found[-1] = found[-1]._replace(printed=tuple(inside.splitlines()))
-        else:
-            found.append(Block(language, inside, ()))
-    return found
-
-
-def missing(printed: tuple[str, ...], output: str, tolerance: float) -> list[str]:
-    """The lines of ``printed`` that ``output`` has nowhere: same words, numbers within ``tolerance``.
-
-    A terminal breaks lines anywhere: blanks are compared as one.
-    """
-    said = " ".join(output.split())
-    return [line for line in printed if not _is_in(" ".join(line.split()), said, tolerance)]
-
-
-def _is_in(line: str, said: str, tolerance: float) -> bool:
-    words = [re.escape(word) for word in _NUMBER.split(line)]
-    expected = [float(number) for number in _NUMBER.findall(line)]
-    pattern = re.compile(f"({_NUMBER.pattern})".join(words))
-    return any(
-        all(
-            abs(float(is_) - should) <= tolerance
-            for is_, should in zip(found.groups(), expected, strict=True)
-        )
-        for found in pattern.finditer(said)
-    )
 
 
 def shell_blocks(name: str) -> list[str]:
@@ -71,12 +28,12 @@ def pasted(
         ["bash", "-c", text],
         cwd=into,
         env=os.environ | dict(environment),
-        capture_output=True,
+        stdout=subprocess.PIPE,  # what goes to stderr is shown by pytest where the test fails
         text=True,
         timeout=within_s,
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.returncode == 0, done.stdout
     return done.stdout
 
 
@@ -101,7 +58,7 @@ def judge_rest_block(printed: str, into: Path) -> None:
     text = page("rest.md")
     shown = json.loads("{" + re.findall(r'`("error_mm":\{[^`]*\})`', text)[0] + "}")["error_mm"]
     ((within_xy, within_z),) = re.findall(
-        rf"x and y differ from this by at most ({_NUMBER.pattern}) mm, z by ({_NUMBER.pattern}) mm", text
+        rf"x and y differ from this by at most ({NUMBER.pattern}) mm, z by ({NUMBER.pattern}) mm", text
     )
     limits = {"x": float(within_xy), "y": float(within_xy), "z": float(within_z)}
     off = {axis: look["error_mm"][axis] - shown[axis] for axis in limits}

@@ -1,7 +1,8 @@
-"""Pytest plugin: slow tests are begun first, tests in real time last; few of these may fail a first try.
+"""Pytest plugin: slow tests are begun first, those in real time last; few of these may fail a first try.
 
-A test marked ``realtime`` talks over real sockets with deadlines or starts real services; other work on the
-machine can make it late. pytest-rerunfailures gives it, and no other test, a second try, and prints what
+A test marked ``processes`` starts services by the plant's clock: nothing is late there, and none is retried.
+One marked ``realtime`` talks over real sockets with deadlines by the wall; other work on the machine can make
+it late. pytest-rerunfailures gives it, and no other test, a second try, and prints what
 failed. More than three such tests fail a run; runs that share the file LONGREACH_RETRIED share the three.
 What was deselected is named at the end, with the command that runs it.
 """
@@ -23,7 +24,10 @@ _deselected: Counter[str] = Counter()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put slow files first and real time last, and give tests in real time their second try."""
+    """Put slow files first and real time last, and give tests in real time their second try.
+
+    Services by the plant's clock go beside anything: last, they would keep one worker alone for minutes.
+    """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (_in_real_time(item), item.path not in slow))
     for item in items:

@@ -15,10 +15,11 @@ import numpy as np
 from laboratory.experiments.positioning.corrected_run import operate, prepared
 from testbed.demonstration.sequence import Recorder, demonstrate
 from testbed.lockstep.clock import RunLog
-from testbed.lockstep.rig import GuidedRig, LockstepRig, quiet, start
+from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.world import TRUTH_PERIOD_NS
 from testbed.reporting.console import bars
 from testbed.scenarios.scenario import chosen_overrides, load_settings
+from tests.support.guided_rig import GuidedRig, quiet, start
 from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.still_rig import still_settings
 from vision_pc.config.choices import PositioningMethod
@@ -48,7 +49,7 @@ def _demonstration(scenario: str, seed: int) -> LockstepRig:
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, scenario, seed, []))
     rig = LockstepRig(settings, seed, RunLog())
     with bars(quiet=True) as shown:
-        demonstrate(rig, Recorder(rig, shown), 1, method=PositioningMethod.PAPER)
+        demonstrate(Recorder(rig, shown), 1, method=PositioningMethod.PAPER)
     return rig
 
 

@@ -25,10 +25,10 @@ from protocol.process_image import (
 )
 from structured_text.memory import MemoryView
 from structured_text.program import CompiledProgram
+from tests.protocol.sample_messages import HEADER, MESSAGES
+from tests.support.pages import signed_datagrams
 from tests.support.paths import DOCS
 from tools.pages import CASES, cases_csv
-from tools.protocol_page import signed_golden
-from tools.sample_messages import HEADER, MESSAGES
 
 GOLDEN = [encode(message, HEADER) for message in MESSAGES]
 WORD_CODES = {"UINT": "H", "INT": "h", "DINT": "i"}
@@ -110,7 +110,7 @@ def test_structured_text_reads_and_writes_every_datagram_as_the_codec_does(messa
 
 
 def test_structured_text_reads_the_trailer_and_makes_the_crc_of_a_signed_datagram() -> None:
-    for data in signed_golden().values():
+    for data in signed_datagrams().values():
         trailer = program().new("ST_LR_Trailer")
         at = HEADER_BYTES + struct.unpack_from("<H", data, 10)[0]
         assert program().call("F_LR_ReadTrailer", aData=datagram(data), stData=trailer, nAt=at).result is True

@@ -7,39 +7,67 @@ import re
 import struct
 import zlib
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import pytest
 
 from conformance.wire import resealed
+from protocol import datagram_layout, process_image, reference_messages
+from protocol.authentication import LinkKey
 from protocol.datagram import decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
     MAX_DATAGRAM_BYTES,
+    PAYLOADS,
     TRAILER_BYTES,
     Kind,
 )
 from protocol.errors import DatagramRefused
 from protocol.pose import Pose
+from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE
 from protocol.reference_messages import Hello
-from tools.protocol_page import GOLDEN, PAGE, ROOT, SECTIONS, rendered
-from tools.sample_messages import HEADER, MESSAGES
+from tests.protocol.sample_messages import HEADER, MESSAGES
+from tests.support.pages import page, signed_datagrams, table_below
+from tests.support.paths import ROOT
 
-TEXT = PAGE.read_text()
+TEXT = page("protocol.md")
+GOLDEN = json.loads((ROOT / "tests/protocol/golden_datagrams.json").read_text())
+WORD_TYPES = {"H": "UINT", "h": "INT", "i": "DINT"}
 STRUCT_CODES = {"USINT": "B", "BYTE": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
 
 
-def test_the_tables_are_those_of_the_code() -> None:
-    assert rendered(TEXT) == TEXT, "run: python -m tools.protocol_page"
-    assert set(re.findall(r"<!-- generated: ([a-z ]+) -->", TEXT)) == set(SECTIONS)
+BITS = {
+    "flags": (datagram_layout, "FLAG_"),
+    "capabilities": (reference_messages, "CAPABILITY_"),
+    "state flags": (reference_messages, "FLAG_"),
+    "status bits": (process_image, "STATUS_"),
+    "control bits": (process_image, "CONTROL_"),
+}
 
 
-def test_clauses_are_numbered_in_order_and_those_cited_exist() -> None:
-    clauses = [tuple(map(int, c.split("."))) for c in re.findall(r"^\*\*(\d+\.\d+)\*\*", TEXT, re.MULTILINE)]
-    for (major, minor), (next_major, next_minor) in itertools.pairwise(clauses):
-        assert (next_major, next_minor) in ((major, minor + 1), (major + 1, 1))
-    cited = re.findall(r"\((?:see )?(\d+\.\d+)\)|in (\d+\.\d+)", TEXT)
-    assert {tuple(map(int, (a or b).split("."))) for a, b in cited} <= set(clauses)
+@pytest.mark.parametrize("table", BITS)
+def test_every_bit_is_written_down_and_no_other(table: str) -> None:
+    module, prefix = BITS[table]
+    masks = {name.removeprefix(prefix): m for name, m in vars(module).items() if name.startswith(prefix)}
+    assert {name: 1 << int(bit) for bit, name, _ in rows_after(f"<!-- table: {table} -->")} == masks
+
+
+@pytest.mark.parametrize("table", ["inputs", "outputs"])
+def test_every_register_is_written_down_and_no_other(table: str) -> None:
+    registers = {"inputs": INPUT_TABLE, "outputs": OUTPUT_TABLE}[table]
+    for row, cells in zip(registers, rows_after(f"<!-- table: {table} -->"), strict=True):
+        address, words, name, kind, digit, span, meaning = cells
+        assert (int(address, 16), int(words), name, meaning) == (
+            row.address,
+            row.words,
+            row.name,
+            row.meaning,
+        )
+        assert float(Fraction(digit)) == pytest.approx(1 / row.scale)
+        assert kind == WORD_TYPES[row.code] + (f"[{row.count}]" if row.count > 1 else "")
+        if row.constant is None and not row.reserved:
+            assert span == f"{row.low / row.scale:.10g}…{row.high / row.scale:.10g} {row.unit}".strip()
 
 
 def test_every_cause_of_a_drop_is_written_down_and_no_other() -> None:
@@ -53,10 +81,7 @@ def test_every_cause_of_a_drop_is_written_down_and_no_other() -> None:
 
 def rows_after(heading: str) -> list[list[str]]:
     """Cells of the first table behind ``heading`` in the page."""
-    lines = TEXT[TEXT.index(heading) :].splitlines()
-    begin = next(i for i, line in enumerate(lines) if line.startswith("|---"))
-    table = itertools.takewhile(lambda line: line.startswith("|"), lines[begin + 1 :])
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+    return table_below(TEXT, heading)
 
 
 def read_by_the_page(heading: str, data: bytes, base: int) -> dict[str, Any]:
@@ -81,14 +106,20 @@ def flat(value: Any) -> Any:
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 def test_a_reader_with_the_page_alone_reads_every_datagram(message: Any) -> None:
     name = type(message).__name__
-    data = bytes.fromhex(json.loads(GOLDEN.read_text())[name])
+    data = bytes.fromhex(GOLDEN[name])
     head = read_by_the_page("**3.1**", data, 0)
     assert bytes(head["magic"]) == b"LRLK"
     assert {key: head[key] for key in HEADER._asdict()} == HEADER._asdict()
     assert head["payload_bytes"] == len(data) - HEADER_BYTES
     kind = Kind(head["kind"])
     assert kind.name.replace("_", "") == name.upper()
-    fields = read_by_the_page(f"**{kind.name}** (kind {kind.value})", data, HEADER_BYTES)
+    payload = f"payload {len(data) - HEADER_BYTES} bytes, datagram {len(data)}"
+    heading = f"**{kind.name}** (kind {kind.value}): {payload}"
+    written = [(cells[1], cells[3]) for cells in rows_after(heading)]
+    assert written == [(field.name, field.meaning) for field in PAYLOADS[kind]]
+    assert all(f.unit in cells[2] for f, cells in zip(PAYLOADS[kind], rows_after(heading), strict=True))
+    assert f"{kind.value} {kind.name}" in TEXT[TEXT.index("**3.8**") : TEXT.index("**3.9**")]
+    fields = read_by_the_page(heading, data, HEADER_BYTES)
     for key, value in message._asdict().items():
         if key == "waypoints":
             numbers = [number for pose in value for number in flat(pose)]
@@ -107,23 +138,26 @@ def derived(secret: bytes, label: str, *numbers: int) -> bytes:
 
 
 def test_a_reader_with_the_page_alone_verifies_every_signed_datagram() -> None:
-    labels = {row[0]: row[1].strip("`") for row in rows_after("<!-- generated: keys -->")}
+    labels = {row[0]: row[1].strip("`") for row in rows_after("<!-- table: keys -->")}
     secret = bytes(range(32))
     numbers = (0x0102030405060708, 0x1122334455667788, 0xB1B2B3B4B5B6B7B8)
     keys = {"Hello": derived(secret, labels["K_hello"])}
     keys["Welcome"] = derived(secret, labels["K_controller"], *numbers)
     of_client = derived(secret, labels["K_client"], *numbers)
-    listing = TEXT[TEXT.index("<!-- generated: signed golden -->") :].split("```")[1]
-    names = re.findall(r"^([A-Z]\w+)$", listing, re.MULTILINE)
-    assert {"Hello", "Welcome", "ReferencePose", "Bye"} <= set(names)
-    for name, body in zip(names, re.split(r"^[A-Z]\w+$", listing, flags=re.MULTILINE)[1:], strict=True):
-        data = bytes.fromhex("".join(body.split()))
+    of_ours = LinkKey(secret).of_client(*numbers)
+    ours = {"Hello": LinkKey(secret).of_hello(), "Welcome": of_ours.receives}
+    signed = signed_datagrams()
+    assert {"Hello", "Welcome", "ReferencePose", "Bye"} <= set(signed)
+    for name, data in signed.items():
         end = HEADER_BYTES + struct.unpack_from("<H", data, 10)[0]
-        trailer = read_by_the_page("<!-- generated: trailer -->", data, end)
+        trailer = read_by_the_page("<!-- table: trailer -->", data, end)
         assert len(data) == end + TRAILER_BYTES
         assert data[9] == 1
         assert trailer["sequence_high"] == 7
         assert trailer["key_id"] == int.from_bytes(derived(secret, "LRLK 1 key id")[:4], "little")
+        header, message = decode(data)
+        assert message in MESSAGES
+        assert encode(message, header, ours.get(name, of_ours.sends)) == data
         tag = hmac.new(keys.get(name, of_client), data[:12] + data[16:-16], "sha256").digest()[:16]
         assert bytes(trailer["tag"]) == tag, name
         assert zlib.crc32(data[16:], zlib.crc32(data[:12])) == struct.unpack_from("<I", data, 12)[0]

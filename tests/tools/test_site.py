@@ -1,4 +1,4 @@
-"""The site's own parts: references from code, navigation, and its examination."""
+"""The site's own parts: references from code, and navigation."""
 
 from pathlib import Path
 
@@ -70,26 +70,3 @@ def test_every_page_is_in_the_navigation() -> None:
     }
     indexed = {page for page in pages if page.startswith("/docs/decisions/0")}
     assert pages - indexed - {"/docs/README"} - listed == set()
-
-
-@pytest.mark.parametrize(
-    ("body", "wrong"),
-    [
-        ('<a href="b.html#there">', None),
-        ('<a href="https://elsewhere.example/">', None),
-        ('<a href="c.html">', "a.html: c.html leads nowhere"),
-        ('<a href="b.html#gone">', "a.html: b.html#gone leads nowhere"),
-        ('<img src="none.png">', "a.html: none.png leads nowhere"),
-        ('<script src="https://cdn.example/x.js"></script>', "a.html: fetches https://cdn.example/x.js"),
-        ('<link rel="stylesheet" href="//cdn.example/x.css">', "a.html: fetches //cdn.example/x.css"),
-    ],
-)
-def test_a_site_is_examined(tmp_path: Path, body: str, wrong: str | None) -> None:
-    (tmp_path / "a.html").write_text(body, encoding="utf-8")
-    (tmp_path / "b.html").write_text('<p id="there">', encoding="utf-8")
-    assert [*extension.faults(tmp_path)] == ([wrong] if wrong else [])
-
-
-def test_a_style_that_fetches_is_found(tmp_path: Path) -> None:
-    (tmp_path / "x.css").write_text('@import "https://fonts.example/f.css"; a { background: url(a.png) }')
-    assert [*extension.faults(tmp_path)] == ["x.css: fetches https://fonts.example/f.css"]

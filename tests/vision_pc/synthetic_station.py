@@ -36,7 +36,7 @@ from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
 from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
-from vision_pc.shell.camera_eyes import MonotonicClock
+from vision_pc.shell.camera_eyes import ProcessClock
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.rest.api import create_app
 from vision_pc.shell.rest.operations import Operations
@@ -64,9 +64,11 @@ class SyntheticEyes:
         self.rig, self.controller = rig, controller
         self.connected = True
         self.trouble: str | None = None
+        self.age_ms: float | None = 10.0
         self.look_s = 0.02
         self.pictures = 0
         self.picture_s = 0.02
+        self.behind_s = 0.0  # how late pictures come
         self.measured: Seen | None = None
         self.targets = TargetKeeper(TargetSettings())
         self.carries = False
@@ -84,7 +86,10 @@ class SyntheticEyes:
             await asyncio.sleep(0.1)  # pictures at rest
 
     def status(self) -> CameraStatus:
-        return CameraStatus(self.connected, 10.0, 1, 100.0, trouble=self.trouble)
+        heard_at_s = 0.0 if self.age_ms is None else time.time() - 1e-3 * self.age_ms
+        return CameraStatus(
+            self.connected, self.age_ms, 1, 100.0, trouble=self.trouble, heard_at_s=heard_at_s
+        )
 
     async def latest_png(self) -> bytes:
         return b"\x89PNG\r\n\x1a\n" + bytes(8)
@@ -107,7 +112,7 @@ class SyntheticEyes:
         return self.targets.add(seen, 7, look.X_BT, None)
 
     async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
-        kept = await self.target_at(Click("left", np.zeros(2)), None)
+        kept = await self.target_at(Click(np.zeros(2)), None)
         self.targets.remove(kept.id)
         seen = TargetObservation("hole", kept.X_CO, kept.covariance, np.eye(6), 0.9, kept.outline, 0.045)
         return 8, [seen]
@@ -120,7 +125,8 @@ class SyntheticEyes:
         await asyncio.sleep(self.picture_s)
         self.pictures += 1
         picture = np.full((CAMERA.height, CAMERA.width), 60 + self.pictures % 60, dtype=np.uint8)
-        return StereoPair(picture, picture, time.monotonic_ns(), self.pictures)
+        captured_ns = time.monotonic_ns() - round(1e9 * self.behind_s)
+        return StereoPair(picture, picture, captured_ns, self.pictures)
 
 
 class Bench:
@@ -187,7 +193,7 @@ async def bench(
     if record_dir is not None:
         log.record_in(record_dir)
     endpoint = UdpEndpoint(
-        LinkSettings(port=controller.port, state_period_ms=10), ANY_ARM, log, MonotonicClock()
+        LinkSettings(port=controller.port, state_period_ms=10), ANY_ARM, log, ProcessClock()
     )
     link = endpoint.link
     arm = LinkArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))

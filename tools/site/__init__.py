@@ -1,1 +1,1 @@
-"""What the site has beside the pages: references from code, its examination."""
+"""What the site has beside the pages: navigation, references from code."""

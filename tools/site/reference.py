@@ -2,12 +2,11 @@
 
 import inspect
 import re
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import typer
+from typer.cli import get_docs_for_click
 
 import longreach
 from testbed.cli.main import app
@@ -15,65 +14,11 @@ from testbed.scenarios.configuration_keys import allowed, keys, left_out
 from testbed.scenarios.scenario import MODELS
 from tools.tables import table
 
-Row = tuple[str, str]
-"""Names of an option, and what it is for."""
-_MANY = 5  # commands from which on an option that says the same in each of them is told once
 
-
-def commands_page(root: typer.Typer = app) -> str:
-    """The reference of every command that can be run, by its words, in the order of the help.
-
-    Options that many commands share come first, and are only named with the command.
-    """
-    found = list(_below(typer.main.get_command(root), "longreach", None))
-    rows = {path: _rows(path, command) for path, command in found}
-    counts = Counter(row for each in rows.values() for row in each)
-    shared = [row for row, count in counts.items() if count >= _MANY]
-    first = ["## Options that many commands have\n\n" + table("option | what", shared)] if shared else []
-    return "\n\n".join([*first, *(_command(path, one, rows[path], shared) for path, one in found)])
-
-
-def _below(command: Any, path: str, parent: Any) -> Iterator[tuple[str, Any]]:
-    context = command.context_class(command, info_name=path, parent=parent)
-    if not hasattr(command, "list_commands"):
-        yield path, command
-        return
-    for name in command.list_commands(context):
-        _, found, _ = command.resolve_command(context, [name])  # loads what is loaded when it is asked for
-        if not found.hidden:
-            yield from _below(found, f"{path} {name}", context)
-
-
-def _rows(path: str, command: Any) -> list[Row]:
-    context = command.context_class(command, info_name=path)
-    rows = (_row(parameter, context) for parameter in command.get_params(context))
-    return [row for row in rows if row]
-
-
-def _command(path: str, command: Any, rows: list[Row], shared: list[Row]) -> str:
-    usage = " ".join([path, *command.collect_usage_pieces(command.context_class(command, info_name=path))])
-    parts = [f"## {path}", _text(command.help or ""), f"```\n{usage}\n```"]
-    if own := [row for row in rows if row not in shared]:
-        parts.append(table("option | what", own))
-    if common := [re.findall(r"--[\w-]+", names)[0] for names, what in rows if (names, what) in shared]:
-        parts.append(f"And `{'`, `'.join(common)}`.")
-    if command.epilog:
-        parts.append(
-            f"{_text(command.epilog.partition('Example: ')[0])}\n```\n{_example(command.epilog)}\n```"
-        )
-    return "\n\n".join(part for part in parts if part.strip())
-
-
-def _example(epilog: str) -> str:
-    return epilog.partition("Example: ")[2] or epilog
-
-
-def _row(parameter: Any, context: Any) -> Row | None:
-    record = parameter.get_help_record(context)
-    if record is None or parameter.name == "help":
-        return None
-    names, meaning = record
-    return f"`{names}`".replace("|", "\\|"), _text(meaning)
+def commands_page() -> str:
+    """The reference of every command that can be run, in the order of the help, as Typer documents it."""
+    command = typer.main.get_command(app)
+    return get_docs_for_click(obj=command, ctx=typer.Context(command, info_name="longreach"), indent=1)
 
 
 def _text(text: str) -> str:

@@ -1,154 +1,47 @@
-"""What a request may say of a program: its settings' own fields, made optional, with the settings' ranges.
+"""What a request may say of a program, and the settings that it is laid over.
 
-A body lays what was given over the settings as configured. Lengths of a few millimetres are asked for in mm:
-that is stated once, in ``_UNITS``.
+A member that is left out is as configured. Lengths of a few millimetres are asked for in mm: such a member
+gives the settings' field in m.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import astuple
-from enum import StrEnum
-from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Gt, Le, Lt
-from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
-from pydantic.fields import FieldInfo
+from pydantic import Field, model_validator
 
+from foundation.configuration import StrictModel
 from vision_pc.config.choices import PositioningMethod
-from vision_pc.config.programs import (
-    LineEquationSettings,
-    LocalErrorModelSettings,
-    OrientationSettings,
-    PositioningSettings,
-    TrajectorySettings,
-    VisualServoingSettings,
-)
+from vision_pc.config.programs import OrientationSettings, PositioningSettings, VisualServoingSettings
 
-_UNITS = {"_mm": ("_m", 1e-3)}
-"""Suffix of a member → suffix of the settings' field, and one unit of the member in the field's unit."""
 Metres = Annotated[float, Field(ge=-10.0, le=10.0)]
 Vector = tuple[Metres, Metres, Metres]
 Unit = Annotated[float, Field(ge=-1.001, le=1.001)]
+Clearance = Annotated[float, Field(ge=0.0, le=1.0)]
+Length = Annotated[float, Field(ge=0.01, le=1.5)]
+Target = Annotated[
+    str,
+    Field(
+        max_length=20,
+        description="Of `/targets`, or `markers`: it is aimed at from then on. Left out: what is aimed at,"
+        " which another client may have changed just now",
+    ),
+]
 
 
-class Copied(NamedTuple):
-    """The settings' field of a member, one unit of the member in the field's, and what else it sets."""
-
-    field: str
-    scale: float | None
-    also: dict[str, Any]
-
-
-class RequestBody(BaseModel):
-    """Base of request bodies: unknown members, NaN and infinity are refused; None means as configured.
-
-    ``copied``: for each member that copies a settings' field under another unit or sets more than it.
-    """
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    copied: ClassVar[dict[str, Copied]] = {}
+class RequestBody(StrictModel):
+    """Base of request bodies, as strict as the configuration; None means as configured."""
 
     def overrides(self) -> dict[str, Any]:
         """The members that were given, as fields of the settings."""
-        laid: dict[str, Any] = {}
-        for name, value in self.model_dump(exclude_none=True).items():
-            copied = self.copied.get(name, Copied(name, None, {}))
-            laid[copied.field] = value if copied.scale is None else copied.scale * value
-            laid |= copied.also
-        return laid
-
-
-class Copy(NamedTuple):
-    """A settings' field that a request may give; ``also``: settings that go with it when it is given."""
-
-    example: Any = None
-    description: str | None = None
-    also: Mapping[str, Any] = MappingProxyType({})
-
-
-class Own(NamedTuple):
-    """A member that copies no field of the settings: its type, and pydantic's field."""
-
-    type: Any
-    field: Any
-
-
-def body_of(name: str, doc: str, settings: type[BaseModel], /, **members: Any) -> type[RequestBody]:
-    """The body ``name``, its members in this order.
-
-    A member copies the field of ``settings`` of its name, made optional, with the field's limits; what is
-    given for it is its example (None: without one), or a ``Copy`` that says more. Or it is an ``Own``.
-    """
-    fields: dict[str, Any] = {}
-    copied: dict[str, Copied] = {}
-    for member, said in members.items():
-        if isinstance(said, Own):
-            fields[member] = (said.type, said.field)
-            continue
-        copy = said if isinstance(said, Copy) else Copy(said)
-        field, scale = _origin(member, settings)
-        copied[member] = Copied(field, scale, dict(copy.also))
-        examples = None if copy.example is None else [copy.example]
-        optional = _optional(settings.model_fields[field], scale)
-        fields[member] = (optional, Field(None, examples=examples, description=copy.description))
-    made: type[RequestBody] = create_model(name, __base__=RequestBody, __doc__=doc, **fields)
-    made.copied = copied
-    return made
-
-
-def _origin(member: str, settings: type[BaseModel]) -> tuple[str, float | None]:
-    """The settings' field that ``member`` copies, and one unit of the member in its unit if they differ."""
-    if member in settings.model_fields:
-        return member, None
-    for suffix, (within, scale) in _UNITS.items():
-        field = member.removesuffix(suffix) + within
-        if member.endswith(suffix) and field in settings.model_fields:
-            return field, scale
-    raise KeyError(f"{settings.__name__} has no field for {member}")
-
-
-def _optional(field: FieldInfo, scale: float | None) -> Any:
-    """The field's type and limits in the member's unit, or None; an enum as its values, written in place."""
-    type_: Any = field.annotation
-    if isinstance(type_, type) and issubclass(type_, StrEnum):
-        type_ = Literal[tuple(member.value for member in type_)]
-    for limit in field.metadata:
-        type_ = Annotated[type_, limit if scale is None else _in_unit(limit, scale)]
-    return type_ | None
-
-
-def _in_unit(limit: Any, scale: float) -> Any:
-    """A number's bound in the member's unit. Raises TypeError for another constraint."""
-    if not isinstance(limit, Gt | Ge | Lt | Le):
-        raise TypeError(f"{limit} is no bound of a number")
-    (bound,) = astuple(limit)
-    return type(limit)(round(bound / scale, 9))
+        given = self.model_dump(exclude_none=True)
+        lengths = {name: given.pop(name) for name in list(given) if name.endswith("_mm")}
+        return given | {name.removesuffix("mm") + "m": 1e-3 * value for name, value in lengths.items()}
 
 
 class LookBody(RequestBody):
     """A look: ``frames`` pairs with the arm at rest."""
 
-    # Its own: a request's look is shorter than the section ``look`` of vision.yaml allows.
     frames: int | None = Field(None, ge=1, le=100, examples=[10])
-
-
-class ValveTrialsBody(RequestBody):
-    """Valves are tried out blindly: say that the tool is empty and nobody is within reach of the arm."""
-
-    confirmed: Literal[True] = Field(examples=[True])
-
-
-_TARGET = Own(
-    str | None,
-    Field(
-        None,
-        max_length=20,
-        description="Of `/targets`, or `markers`: it is aimed at from then on. Left out: what is aimed at,"
-        " which another client may have changed just now",
-        examples=[None],
-    ),
-)
 
 
 class TurnSettings(OrientationSettings):
@@ -157,25 +50,40 @@ class TurnSettings(OrientationSettings):
     target: str | None = None
 
 
-OrientationBody = body_of(
-    "OrientationBody", "Orientation adjustment (7)(8).", TurnSettings,
-    form="frame_true", repetitions=1, limit_deg=None, target=_TARGET,
-)  # fmt: skip
-LineEquationBody = body_of(
-    "LineEquationBody", "Line equation (10)-(16): circle and one input.", LineEquationSettings,
-    radius_m=0.2, points=18, minimum=None,
-)  # fmt: skip
-TrajectoryBody = body_of(
-    "TrajectoryBody", "Trajectory matching (17)-(19) and the match.", TrajectorySettings,
-    segments_m=[0.30, 0.10, 0.05, 0.30], turn_deg=None, heading_deg=None, placement=None, method=None,
-    association=None,
-)  # fmt: skip
-LocalTrackBody = body_of(
-    "LocalTrackBody",
-    "Three legs along the tool's axes, for the corrected look-then-move.",
-    LocalErrorModelSettings,
-    leg_m=0.2,
-)  # fmt: skip
+class OrientationBody(RequestBody):
+    """Orientation adjustment (7)(8)."""
+
+    form: Literal["frame_true", "paper"] | None = Field(None, examples=["frame_true"])
+    repetitions: int | None = Field(None, ge=1, le=5, examples=[1])
+    limit_deg: float | None = Field(None, gt=0.0, le=90.0)
+    target: Target | None = Field(None, examples=[None])
+
+
+class LineEquationBody(RequestBody):
+    """Line equation (10)-(16): circle and one input."""
+
+    radius_m: float | None = Field(None, ge=0.02, le=0.6, examples=[0.2])
+    points: int | None = Field(None, ge=6, le=24, examples=[18])
+    minimum: Literal["sample", "fit"] | None = None
+
+
+class TrajectoryBody(RequestBody):
+    """Trajectory matching (17)-(19) and the match."""
+
+    segments_m: tuple[Length, ...] | None = Field(
+        None, min_length=2, max_length=23, examples=[[0.30, 0.10, 0.05, 0.30]]
+    )
+    turn_deg: float | None = Field(None, ge=5.0, le=175.0)
+    heading_deg: float | None = Field(None, ge=-180.0, le=180.0)
+    placement: Literal["ends_here", "starts_here"] | None = None
+    method: Literal["points", "paper"] | None = None
+    association: Literal["time", "none"] | None = None
+
+
+class LocalTrackBody(RequestBody):
+    """Three legs along the tool's axes, for the corrected look-then-move."""
+
+    leg_m: float | None = Field(None, ge=0.05, le=0.5, examples=[0.2])
 
 
 class LookThenMoveSettings(PositioningSettings):
@@ -185,25 +93,30 @@ class LookThenMoveSettings(PositioningSettings):
     target: str | None = None
 
 
-_LookThenMove = body_of(
-    "LookThenMoveBody",
-    "",
-    LookThenMoveSettings,
-    # Its own: it has a default, because no configuration chooses it.
-    method=Own(Literal["corrected", "paper"], "corrected"),
-    target=_TARGET,
-    inputs=Copy(description="Of `paper`: looks and steps; `corrected` is one look, ask again for another"),
-    clearance_m=0.1,
-    tolerance_mm=5.0,
-    aim_mm=Copy(description="No input below this; 0: always one"),
-    corrections=Copy(description="Of `corrected`: motions by odometry alone; 0: one shot"),
-)
+class ApproachBody(RequestBody):
+    """How a target is driven to."""
+
+    clearance_m: Clearance | None = Field(None, examples=[0.1])
+    tolerance_mm: float | None = Field(None, gt=0.0, le=100.0, examples=[5.0])
+    corrections: int | None = Field(
+        None, ge=0, le=10, description="Of `corrected`: motions by odometry alone; 0: one shot"
+    )
 
 
-class LookThenMoveBody(_LookThenMove):  # type: ignore[misc, valid-type]
+class LookThenMoveBody(ApproachBody):
     """Look-then-move (20)-(22). ``method``: by the local track, corrected by odometry on the way, or the
     paper's, by trajectory matching.
     """
+
+    method: Literal["corrected", "paper"] = "corrected"
+    target: Target | None = Field(None, examples=[None])
+    inputs: int | None = Field(
+        None,
+        ge=1,
+        le=10,
+        description="Of `paper`: looks and steps; `corrected` is one look, ask again for another",
+    )
+    aim_mm: float | None = Field(None, ge=0.0, le=100.0, description="No input below this; 0: always one")
 
     @model_validator(mode="after")
     def _of_the_method(self) -> "LookThenMoveBody":
@@ -218,20 +131,22 @@ class ServoingSettings(VisualServoingSettings):
     """Visual servoing, the distance to the object that it shall leave, and which target (None: as aimed)."""
 
     target: str | None = None
-    clearance_m: Annotated[float, *PositioningSettings.model_fields["clearance_m"].metadata]
+    clearance_m: Clearance
 
 
-LookingAndMovingBody = body_of(
-    "LookingAndMovingBody",
-    "Looking and moving: closed loop at camera rate. Settings left out are as configured.",
-    ServoingSettings,
-    gain=0.5,
-    pull_gain=None,
-    clearance_m=0.1,
-    settle_mm=Copy(1.0, also={"settle_growth": 0.0}),  # asked for by name, it is not to be widened
-    timeout_s=None,
-    target=_TARGET,
-)
+class LookingAndMovingBody(RequestBody):
+    """Looking and moving: closed loop at camera rate. Settings left out are as configured."""
+
+    gain: float | None = Field(None, gt=0.0, le=1.0, examples=[0.5])
+    pull_gain: float | None = Field(None, ge=0.0, le=1.0)
+    clearance_m: Clearance | None = Field(None, examples=[0.1])
+    settle_mm: float | None = Field(None, gt=0.0, le=50.0, examples=[1.0])
+    timeout_s: float | None = Field(None, gt=0.0, le=600.0)
+    target: Target | None = Field(None, examples=[None])
+
+    def overrides(self) -> dict[str, Any]:
+        """As given; a settling limit that was asked for is not widened."""
+        return super().overrides() | ({} if self.settle_mm is None else {"wanted_m": 0.0})
 
 
 class PoseBody(RequestBody):

@@ -8,19 +8,19 @@ import numpy as np
 
 from vision_pc.application.annotate import annotated, png
 from vision_pc.application.eyes import FrameEyes
-from vision_pc.application.ports import CameraStatus, EyesRecord, FrameSource, Runtime, Seen, StateSource
+from vision_pc.application.ports import CameraStatus, FrameSource, Log, Runtime, Seen
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.foreign_poses import PoseFeed
-from vision_pc.core.perception.look import combine
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper, refuse_moved
 from vision_pc.core.targets.measuring import at_click, holes
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
-from vision_pc.core.types import FrameObservation, Look, StereoPair
+from vision_pc.core.types import FrameObservation, StereoPair
 
 T = TypeVar("T")
 _MOST_SHOWN = 32
@@ -40,20 +40,19 @@ class CameraEyes(FrameEyes[StereoPair]):
     def __init__(
         self,
         frames: FrameSource[StereoPair],
-        states: StateSource,
+        states: ReferenceLink,
         config: VisionConfig,
         runtime: Runtime,
-        record: EyesRecord[StereoPair],
+        log: Log,
         feed: PoseFeed | None = None,
     ) -> None:
         self.targets = TargetKeeper(config.targets)
         sensor = AimedSensor(config, self.targets, feed)
         carrier = TargetCarrier(self.targets, sensor, states)
-        super().__init__(frames, sensor, states, config.look, runtime, record, carrier)
+        super().__init__(frames, sensor, states, config.look, runtime, log, carrier)
         self._aimed = sensor
         self._camera = sensor.camera
         self._tool_id = config.markers.tool.id
-        self._clearance_m = config.programs.positioning.clearance_m
         self._shown: deque[StereoPair] = deque(maxlen=_MOST_SHOWN)
         self._asked: StereoPair | None = None  # of the last click that wants its place in the other eye
         self._carrier = carrier
@@ -73,23 +72,6 @@ class CameraEyes(FrameEyes[StereoPair]):
         middle_ns = int(np.mean([pair.capture_ns for pair in pairs]))
         return PairsAtRest(tuple(pairs), await self._states.pose_at(middle_ns))
 
-    async def look_alone(self, frames: int | None = None) -> Look:
-        """A look whose ``X_BT`` is NaN, for a camera that is put into service before the controller is.
-
-        Raises MeasurementFailed as ``look``, LinkLost when the camera is silent.
-        """
-        newest_ns, observations = self._runtime.clock.now_ns, []
-        for _ in range(frames or self._settings.frames):
-            frame = await self._frames.frame_after(newest_ns)
-            newest_ns = frame.capture_ns
-            observations.append(await self._observed(frame))
-        assert self._latest is not None
-        self._record.pictured(*self._latest)
-        time_ns = int(np.mean([observation.capture_ns for observation in observations]))
-        look = combine(observations, np.full((4, 4), np.nan), time_ns, self._settings)
-        self._record.looked(look)
-        return look
-
     async def aside(self, work: Callable[[], T]) -> T:
         """What ``work`` returns, computed where the eyes compute: the link is not held up."""
         return await self._runtime.worker.run(work)
@@ -100,7 +82,7 @@ class CameraEyes(FrameEyes[StereoPair]):
         assert self._latest is not None
         shown = self._latest
         self._show(shown[0])
-        return await self.aside(lambda: png(annotated(*shown, self._camera, self._clearance_m)))
+        return await self.aside(lambda: png(annotated(*shown, self._camera)))
 
     async def observe(self) -> None:
         """Measure in the newest picture, if it was not. Raises LinkLost when the camera never gave one."""
@@ -194,5 +176,5 @@ class CameraEyes(FrameEyes[StereoPair]):
         before = None if self._latest is None else self._latest[1]
         observation = self._aimed.plain(pair, before)
         found = at_click(self._aimed.sighted(pair, observation), click)
-        refuse_moved(getattr(pair, click.eye), getattr(newest, click.eye), click.pixel)
+        refuse_moved(pair.left, newest.left, click.pixel)
         return observation, found

@@ -4,6 +4,7 @@ Every camera of the service and the emulated ones in lockstep put their frames h
 frozen is judged here alone.
 """
 
+import time
 from collections import deque
 from typing import Generic, TypeVar
 
@@ -29,6 +30,7 @@ class CameraFeed(Generic[F]):
         self._newest: F | None = None
         self._captures: deque[int] = deque(maxlen=_RATE_OVER)
         self._frames = 0
+        self._heard_at_s = 0.0
         self._dropped = 0
         self._reconnects = -1
         self._started_ns = clock.now_ns
@@ -53,6 +55,7 @@ class CameraFeed(Generic[F]):
             reconnects=max(self._reconnects, 0),
             trouble=trouble,
             detail=self._detail if trouble is not None else "",
+            heard_at_s=self._heard_at_s,
         )
 
     async def frame_after(self, capture_ns: int) -> F:
@@ -79,6 +82,7 @@ class CameraFeed(Generic[F]):
     def publish(self, frame: F, dropped: int = 0, frozen: bool = False) -> None:
         """Take a frame before which ``dropped`` never came; ``frozen``: it only repeats the one before."""
         self._frames += 1
+        self._heard_at_s = time.time()
         self._dropped += dropped
         self._captures.append(frame.capture_ns)
         if frozen:

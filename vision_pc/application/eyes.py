@@ -14,15 +14,15 @@ import numpy as np
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from vision_pc.application.ports import (
-    Attendant,
     BackgroundWork,
     Clock,
-    EyesRecord,
     FrameSource,
+    Log,
     Runtime,
     SightRecorder,
-    StateSource,
 )
+from vision_pc.application.reference_link import ReferenceLink
+from vision_pc.application.targets.carrier import TargetCarrier
 from vision_pc.config.vision import LookSettings
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Sensor, Watcher
@@ -53,8 +53,10 @@ class LiveWatch(Generic[F]):
     async def after(self, count: int, timeout_s: float) -> WatchSample | None:
         """The newest sample once there are more than ``count``, None after ``timeout_s``.
 
+        Every frame is measured from now on, also while the arm stands.
         Raises what ended the gathering, such as LinkLost for a silent camera.
         """
+        self._watcher.live = True
         await self._clock.until(lambda: self._watcher.count > count or self._gathering.ended, timeout_s)
         if self._watcher.count > count:
             return self._watcher.samples[-1]
@@ -64,7 +66,7 @@ class LiveWatch(Generic[F]):
 
 
 class Unattended:
-    """Implements ``Attendant`` where nobody goes along."""
+    """As ``TargetCarrier``, where there are no targets."""
 
     object_wanted = True
 
@@ -84,18 +86,18 @@ class FrameEyes(Generic[F]):
         self,
         frames: FrameSource[F],
         sensor: Sensor[F],
-        states: StateSource,
+        states: ReferenceLink,
         settings: LookSettings,
         runtime: Runtime,
-        record: EyesRecord[F],
-        attendant: Attendant | None = None,
+        log: Log,
+        attendant: TargetCarrier | None = None,
     ) -> None:
         self._frames = frames
         self._sensor = sensor
         self._states = states
         self._settings = settings
         self._runtime = runtime
-        self._record = record
+        self._log = log
         self._attendant = attendant or Unattended()
         self._latest: tuple[F, FrameObservation] | None = None
         self._recorder: SightRecorder[F] | None = None
@@ -114,12 +116,9 @@ class FrameEyes(Generic[F]):
         with self._attendant.looking() as looked:
             fresh = self._frames_at_rest(frames or self._settings.frames)
             observations = [await self._observed(frame) async for frame in fresh]
-            if self._latest is not None:
-                self._record.pictured(*self._latest)
             time_ns = int(np.mean([observation.capture_ns for observation in observations]))
             look = combine(observations, await self._states.pose_at(time_ns), time_ns, self._settings)
             looked(look)
-        self._record.looked(look)
         if self._recorder is not None:
             self._recorder.looked(look, observations)
         return look
@@ -143,9 +142,11 @@ class FrameEyes(Generic[F]):
                 yield LiveWatch(watcher, gathering, clock)
                 until_ns.append(clock.now_ns)
                 await gathering.join()
+                await self._runtime.worker.run(watcher.measure)
             finally:
                 await gathering.cancel()
-            self._record.watched(watcher.health)
+            self._latest = watcher.newest or self._latest
+            self._log.write("watched", **watcher.health._asdict())
             watcher.require()
             watched(watcher.samples)
         if markers and odometry:
@@ -154,8 +155,7 @@ class FrameEyes(Generic[F]):
     async def _calibrated(self, watcher: Watcher[F]) -> None:
         """Find the camera's errors, where that is configured, and see with them from now on."""
         await self._runtime.worker.run(watcher.calibrate)
-        if self._latest is not None and watcher.observation is not None:
-            self._latest = (self._latest[0], watcher.observation)
+        self._latest = watcher.newest or self._latest
 
     async def _gather(self, watcher: Watcher[F], last_ns: int, until_ns: list[int]) -> None:
         while not until_ns or last_ns < until_ns[0]:
@@ -166,8 +166,7 @@ class FrameEyes(Generic[F]):
         frame = await self._frames.frame_after(after_ns)
         X_BT = await self._states.pose_at(frame.capture_ns)
         await self._runtime.worker.run(lambda: watcher.add(frame, X_BT))
-        if watcher.observation is not None and watcher.observation.frame_id == frame.frame_id:
-            self._latest = (frame, watcher.observation)
+        self._latest = watcher.newest or self._latest
         self._runtime.clock.wake()
         return frame.capture_ns
 

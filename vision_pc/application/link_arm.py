@@ -17,7 +17,8 @@ from protocol.reference_messages import (
     State,
     StreamedPose,
 )
-from vision_pc.application.ports import Camera, StoppableArm
+from vision_pc.application.camera_eyes import CameraEyes
+from vision_pc.application.ports import StoppableArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import MotionSettings
 from vision_pc.core.ports import ArmView, Eyes, ReferenceStream
@@ -223,43 +224,47 @@ def _to_and_fro(states: list[State]) -> Array:
 class CarryingArm:
     """Implements ``StoppableArm``: an arm whose motions odometry watches while targets are kept.
 
-    Without targets, or within a watch, it is the arm itself, ``driven``; the eyes are ``watching``.
+    Without targets, or within a watch, it is the arm itself.
+    ``motions``: how many were asked for.
     """
 
-    def __init__(self, arm: StoppableArm, eyes: Eyes, camera: Camera) -> None:
-        self.driven = arm
-        self.watching = eyes
+    def __init__(self, arm: StoppableArm, eyes: Eyes, camera: CameraEyes) -> None:
+        self._arm = arm
+        self._eyes = eyes
+        self.motions = 0
         self._camera = camera
 
     async def view(self) -> ArmView:
         """As the arm's."""
-        return await self.driven.view()
+        return await self._arm.view()
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
         """As the arm's, watched."""
-        return await self._move_watched(lambda: self.driven.move_to(X_BT_ref, duration_s=duration_s))
+        return await self._move_watched(lambda: self._arm.move_to(X_BT_ref, duration_s=duration_s))
 
     async def follow(
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
     ) -> ArmView:
         """As the arm's, watched."""
-        timed = partial(self.driven.follow, segment_s=segment_s, dwell_s=dwell_s)
+        timed = partial(self._arm.follow, segment_s=segment_s, dwell_s=dwell_s)
         return await self._move_watched(lambda: timed(waypoints))
 
     def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
         """As the arm's: whoever streams watches for himself."""
-        return self.driven.streaming()
+        self.motions += 1
+        return self._arm.streaming()
 
     async def stop(self) -> None:
         """As the arm's."""
-        await self.driven.stop()
+        await self._arm.stop()
 
     async def halt(self) -> None:
         """As the arm's."""
-        await self.driven.halt()
+        await self._arm.halt()
 
     async def _move_watched(self, move: Callable[[], Awaitable[ArmView]]) -> ArmView:
+        self.motions += 1
         if not self._camera.carries:
             return await move()
-        async with self.watching.watch(markers=False, odometry=True):
+        async with self._eyes.watch(markers=False, odometry=True):
             return await move()

@@ -29,13 +29,13 @@ def camera(application: VisionApplication, name: str, settings: Any) -> None:
 
 
 def at_rest(application: VisionApplication, name: str, settings: Any) -> None:
-    """The arm does not move, as far as a controller tells."""
-    if application.controller.connected and application.controller.state.group_state is GroupState.MOVING:
+    """The arm does not move."""
+    if application.controller.state.group_state is GroupState.MOVING:
         raise RequestRefused("refused.moving", f"{name}: the arm is moving")
 
 
-def unlatched(application: VisionApplication, name: str, settings: Any) -> None:
-    """The arm may be enabled: it does not stop, without a latched stop or fault."""
+def enabled(application: VisionApplication, name: str, settings: Any) -> None:
+    """The arm may move: it is enabled, without a latched stop or fault."""
     state = application.controller.state
     if state.flags & FLAG_EMERGENCY_LATCHED:
         raise RequestRefused("refused.emergency_latched", f"{name}: the emergency stop is latched")
@@ -45,11 +45,7 @@ def unlatched(application: VisionApplication, name: str, settings: Any) -> None:
     if state.group_state is GroupState.STOPPING:
         raise RequestRefused("refused.stopping", f"{name}: the arm is stopping")
 
-
-def enabled(application: VisionApplication, name: str, settings: Any) -> None:
-    """The arm may move: it is enabled, without a latched stop or fault."""
-    unlatched(application, name, settings)
-    if application.controller.state.group_state is GroupState.DISABLED:
+    if state.group_state is GroupState.DISABLED:
         raise RequestRefused("refused.disabled", f"{name}: the arm is disabled; enable first")
 
 
@@ -75,8 +71,8 @@ class Program(Generic[SettingsT, ResultT]):
     is called with the application, the settings of this request and a report; it returns a typed result,
     of which ``to_json`` makes what the API answers (mm, degrees). ``body`` is what a request may say,
     laid over ``settings`` (None: the body itself is what ``run`` gets). ``needs`` must all be met before
-    it begins, in this order; ``without_controller``: it begins without a controller too. ``core`` is the
-    function to read, ``source`` where its method comes from, ``tag`` its group.
+    it begins, in this order. ``core`` is the function to read, ``source`` where its method comes from,
+    ``tag`` its group.
     """
 
     name: str
@@ -89,7 +85,6 @@ class Program(Generic[SettingsT, ResultT]):
     core: Callable[..., Any] | None = None
     source: str = "–"
     tag: str = "operations"
-    without_controller: bool = False
 
     def requested(self, application: VisionApplication, body: RequestBody) -> BaseModel:
         """The settings of one request.
@@ -103,8 +98,7 @@ class Program(Generic[SettingsT, ResultT]):
 
     def refuse_now(self, application: VisionApplication, settings: Any) -> None:
         """Raises RequestRefused or LinkLost when the program cannot begin in the present state."""
-        if not self.without_controller:
-            _ = application.controller.state  # without a controller, that is the cause
+        _ = application.controller.state  # without a controller, that is the cause
         for need in self.needs:
             need(application, self.name, settings)
 

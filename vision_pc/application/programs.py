@@ -23,7 +23,6 @@ from vision_pc.application.bodies import (
     ServoingSettings,
     TrajectoryBody,
     TurnSettings,
-    ValveTrialsBody,
 )
 from vision_pc.application.hand_eye_programs import HAND_EYE_PROGRAMS
 from vision_pc.application.program import (
@@ -31,10 +30,6 @@ from vision_pc.application.program import (
     MOVING,
     STANDING,
     Program,
-    at_rest,
-    camera,
-    recording,
-    unlatched,
 )
 from vision_pc.application.results import (
     JudgedLook,
@@ -50,8 +45,7 @@ from vision_pc.application.results import (
     servoing_json,
     track_json,
 )
-from vision_pc.application.valve_trials import TrialsSeen, trials_json, watch_trials
-from vision_pc.application.visit import VISIT
+from vision_pc.application.visit import VISIT, drive_corrected, new_track
 from vision_pc.config.choices import PositioningMethod
 from vision_pc.config.programs import (
     LineEquationSettings,
@@ -59,7 +53,6 @@ from vision_pc.config.programs import (
     TrajectorySettings,
 )
 from vision_pc.core.calibration import (
-    joint_play,
     line_equation,
     local_error_model,
     orientation,
@@ -69,20 +62,16 @@ from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.local_error_model import LocalTrack, camera_in_tool
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.ports import Report
-from vision_pc.core.positioning import corrected_positioning, look_then_move, visual_servoing
+from vision_pc.core.positioning import look_then_move, visual_servoing
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 from vision_pc.core.positioning.look_then_move import PositioningResult
 from vision_pc.core.se3 import Array, from_pose, transform
 
 
 async def _look(application: VisionApplication, body: LookBody, report: Report) -> JudgedLook:
-    if application.controller.connected:
-        report(0.1, "looking")
-        await application.eyes.look(body.frames)
-        judged = application.latest_look
-    else:
-        report(0.1, "looking; no controller is connected")
-        judged = await application.look_alone(body.frames)
+    report(0.1, "looking")
+    await application.eyes.look(body.frames)
+    judged = application.latest_look
     if judged.look.misplaced is not None:
         report(1.0, str(judged.look.misplaced))
     return judged
@@ -110,6 +99,8 @@ async def _trajectory(
     application.calibration = await trajectory_matching.trajectory_matching(
         application.arm, application.eyes, report, settings, application.settings.local_map
     )
+    if application.calibration.object_stands:
+        application.trust("calibration")
     return application.calibration
 
 
@@ -117,28 +108,23 @@ async def _local_track(
     application: VisionApplication, settings: LocalErrorModelSettings, report: Report
 ) -> LocalTrack:
     """The track is kept for the corrected look-then-move."""
-    application.track = await local_error_model.record_local_track(
-        application.arm, application.eyes, report, settings, application.dimensions
-    )
+    application.track = await new_track(application, settings, report)
     return application.track
 
 
 async def _look_then_move(
     application: VisionApplication, settings: LookThenMoveSettings, report: Report
 ) -> PositioningResult | CorrectedResult:
-    arm, eyes = application.arm, application.eyes
     application.positioning = settings
     _aim(application, settings.target)
     if settings.method is PositioningMethod.CORRECTED:
-        assert application.track is not None  # needed
-        track, application.track = application.track, None  # a motion that fails leaves a gap in it
-        result = await corrected_positioning.look_then_move_corrected(
-            arm, eyes, report, settings, application.settings.local_map, application.dimensions, track
-        )
-        application.track = result.track
-        return result
+        return await drive_corrected(application, settings, report)
     assert application.calibration is not None  # needed
-    return await look_then_move.look_then_move(arm, eyes, report, settings, application.calibration)
+    ended = await look_then_move.look_then_move(
+        application.arm, application.eyes, report, settings, application.calibration
+    )
+    application.doubt(ended.contradiction)
+    return ended
 
 
 async def _looking_and_moving(
@@ -153,7 +139,9 @@ async def _looking_and_moving(
     elif application.calibration is not None and application.calibration.R_TC is not None:
         R_TC = application.calibration.R_TC
     else:
-        raise RequestRefused("refused.not_calibrated", "neither local track nor calibration of any mount")
+        raise RequestRefused(
+            "refused.not_calibrated", "neither local error model nor calibration of any mount"
+        )
     application.track = None  # the arm leaves its end, unwatched by odometry
     approach = await visual_servoing.servo_to_object(arm, eyes, report, settings, settings.clearance_m, R_TC)
     await eyes.look()
@@ -173,10 +161,6 @@ async def _home(application: VisionApplication, body: HomeBody, report: Report) 
     assert X_BT_ref is not None  # needed: an enabled arm has been heard
     view = await application.arm.move_to(X_BT_ref, duration_s=body.duration_s)
     return MoveResult(X_BT_ref, view.X_BT)
-
-
-async def _valve_trials(application: VisionApplication, body: ValveTrialsBody, report: Report) -> TrialsSeen:
-    return await watch_trials(application, report)
 
 
 def _aim(application: VisionApplication, target: str | None) -> None:
@@ -200,9 +184,11 @@ def calibration_of_the_method(
     """A local track, or with ``method: paper`` a local calibration."""
     if settings.method is PositioningMethod.CORRECTED:
         if application.track is None:
-            raise RequestRefused("refused.not_calibrated", "no local track yet: run local-track first")
+            raise RequestRefused(
+                "refused.not_calibrated", "no local error model yet: run local calibration by odometry first"
+            )
     elif application.calibration is None:
-        why = "no local calibration yet: run trajectory-matching first"
+        why = "no local calibration yet: run that by trajectory matching first"
         raise RequestRefused("refused.not_calibrated", why)
 
 
@@ -219,7 +205,7 @@ def known_target(
 def camera_axes(application: VisionApplication, name: str, settings: Any) -> None:
     """A local track or a local calibration."""
     if application.track is None and application.calibration is None:
-        why = "no camera axes yet: run local-track or trajectory-matching first"
+        why = "no camera axes yet: run a local calibration first"
         raise RequestRefused("refused.not_calibrated", why)
 
 
@@ -231,7 +217,6 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         to_json=look_json,
         body=LookBody,
         needs=STANDING,
-        without_controller=True,
     ),
     Program(
         "orientation-adjustment",
@@ -266,7 +251,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
     ),
     Program(
         "local-track",
-        "Three legs for the corrected look-then-move",
+        "Local calibration by odometry, on three legs",
         run=_local_track,
         to_json=track_json,
         body=LocalTrackBody,
@@ -314,16 +299,6 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         to_json=move_json,
         body=HomeBody,
         needs=BLIND,
-    ),
-    Program(
-        "valve-trials",
-        "Watch the controller try out its valves: each joint's play, the camera's delay",
-        run=_valve_trials,
-        to_json=trials_json,
-        body=ValveTrialsBody,
-        needs=(camera, at_rest, unlatched, recording),
-        core=joint_play.joint_play,
-        source="docs/commissioning.md",
     ),
     VISIT,
     *HAND_EYE_PROGRAMS,

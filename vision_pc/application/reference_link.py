@@ -7,6 +7,7 @@ nothing here opens a socket or waits anywhere else.
 """
 
 import re
+import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -42,7 +43,7 @@ _WAIT_FOR_STATE_S = 1.0
 _ACKNOWLEDGEMENT_S = 2.0
 _RECONNECT_NS = 500_000_000
 _SAME_RAD, _MARGIN_RAD = 1e-4, 0.02
-_EXPLAINED = {Reason.WRONG_ARM: "it drives another arm than arm.yaml says (compare with longreach doctor)"}
+_EXPLAINED = {Reason.WRONG_ARM: "it drives another arm than arm.yaml says (compare with longreach arm check)"}
 
 
 class Submitted(NamedTuple):
@@ -66,8 +67,9 @@ class ReferenceLink:
     """One link to the controller; it reconnects on its own from ``connect`` until ``disconnect``.
 
     ``peer`` names the controller in messages. ``listeners`` are told what ``journal`` is told, after it.
-    ``home``: X_BT where the arm stood when the machine was first heard. ``ranges``: of the joints (rad), if
-    the arm that the controller must drive is known: a refusal then names the joint.
+    ``heard_at_s``: when the newest state came, s since 1970. ``home``: X_BT where the arm stood when the
+    machine was first heard. ``ranges``: of the joints (rad), if the arm that the controller must drive is
+    known: a refusal then names the joint.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class ReferenceLink:
         self._history = StateHistory()
         self._received = 0
         self._received_ns = 0
+        self.heard_at_s = 0.0
         self._losses = 0
         self._answers: dict[int, Acknowledgement | LinkLost | None] = {}
         self.home: Array | None = None
@@ -306,6 +309,7 @@ class ReferenceLink:
                 self.home = from_pose(event.state.X_BT)
             self._received += 1
             self._received_ns = self._clock.now_ns
+            self.heard_at_s = time.time()
         elif isinstance(event, AcknowledgementReceived):
             if event.acknowledgement.command_id in self._answers:
                 self._answers[event.acknowledgement.command_id] = event.acknowledgement

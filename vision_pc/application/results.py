@@ -18,13 +18,13 @@ from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import LookVerdict, PositioningResult, Step
 from vision_pc.core.positioning.visual_servoing import Convergence
 from vision_pc.core.se3 import Array, to_pose
-from vision_pc.core.types import Look, MisplacedMarker
+from vision_pc.core.types import Contradiction, Look, MisplacedMarker
 
 JSON = dict[str, Any]
 
 
 class JudgedLook(NamedTuple):
-    """A look with its verdict; a notebook shows the table, a console the line."""
+    """A look with its verdict; a console shows the line."""
 
     look: Look
     verdict: LookVerdict
@@ -35,15 +35,6 @@ class JudgedLook(NamedTuple):
         where = "inside" if self.verdict.inside else "outside"
         limit = f"±{1e3 * self.verdict.tolerance_m:g} mm in x and y"
         return f"<look of {self.look.frames} frames: {said} mm, {where} {limit}>"
-
-    def _repr_html_(self) -> str:
-        heads = "".join(f"<th>{axis}</th>" for axis in ("", "x", "y", "z"))
-        rows = (("error, mm", self.verdict.error_m), ("1 σ, mm", self.verdict.std_m))
-        cells = "".join(
-            f"<tr><th>{name}</th>{''.join(f'<td>{1e3 * value:+.2f}</td>' for value in values)}</tr>"
-            for name, values in rows
-        )
-        return f"<table><tr>{heads}</tr>{cells}</table>{self!r}".replace("<look", "&lt;look")
 
 
 class LineEquationResult(NamedTuple):
@@ -103,27 +94,23 @@ def verdict_json(verdict: LookVerdict) -> JSON:
 def look_json(judged: JudgedLook) -> JSON:
     """A look with its verdict."""
     look, verdict = judged
-    alone = {} if look.arm_known else {"controller": "not connected: where the arm is was not told"}
-    return (
-        verdict_json(verdict)
-        | alone
-        | {
-            "time_ns": look.time_ns,
-            "X_CM": pose_json(look.X_CM),
-            "X_CO": pose_json(look.X_CO),
-            "X_BT": pose_json(look.X_BT) if look.arm_known else None,
-            "orientation_error_deg": degrees(orientation_error(look)),
-            "frames": look.frames,
-            "failed_tool": look.failed_tool,
-            "failed_object": look.failed_object,
-            "std_tool_mm": xyz(look.std_tool_m),
-            "std_object_mm": xyz(look.std_object_m),
-            "std_tool_deg": degrees(look.std_tool_rad),
-            "std_object_deg": degrees(look.std_object_rad),
-            "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
-            "misplaced_marker": misplaced_json(look.misplaced),
-        }
-    )
+    return verdict_json(verdict) | {
+        "time_ns": look.time_ns,
+        "X_CM": pose_json(look.X_CM),
+        "X_CO": pose_json(look.X_CO),
+        "X_BT": pose_json(look.X_BT),
+        "orientation_error_deg": degrees(orientation_error(look)),
+        "frames": look.frames,
+        "failed_tool": look.failed_tool,
+        "failed_object": look.failed_object,
+        "std_tool_mm": xyz(look.std_tool_m),
+        "std_object_mm": xyz(look.std_object_m),
+        "std_tool_deg": degrees(look.std_tool_rad),
+        "std_object_deg": degrees(look.std_object_rad),
+        "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
+        "misplaced_marker": misplaced_json(look.misplaced),
+        "doubt": doubt_json(look.doubt),
+    }
 
 
 def misplaced_json(marker: MisplacedMarker | None) -> JSON | None:
@@ -133,6 +120,19 @@ def misplaced_json(marker: MisplacedMarker | None) -> JSON | None:
     off, std = ({axis: round(1e3 * float(v), 3) for axis, v in zip("xy", values, strict=True)}
                 for values in (marker.off_m, marker.std_m))  # fmt: skip
     return {"id": marker.marker_id, "off_mm": off, "std_mm": std, "detail": str(marker)}
+
+
+def doubt_json(doubt: Contradiction | None) -> JSON | None:
+    """What was seen elsewhere than it must be, by how much, and what that may mean."""
+    if doubt is None:
+        return None
+    return {
+        "what": doubt.what,
+        "shift_mm": round(1e3 * doubt.shift_m, 3),
+        "turn_deg": round(math.degrees(doubt.turn_rad), 4),
+        "looked_ns": doubt.time_ns,
+        "detail": str(doubt),
+    }
 
 
 def seen_json(seen: Seen | None) -> JSON:
@@ -174,7 +174,7 @@ def orientation_json(result: OrientationResult) -> JSON:
 
 def line_equation_json(result: LineEquationResult) -> JSON:
     """Direction, distance, reference, and the look at the result."""
-    line = result.equation
+    line, look = result
     return {
         "p_u": [float(v) for v in line.p_u],
         "phi_deg": math.degrees(line.phi),
@@ -182,7 +182,7 @@ def line_equation_json(result: LineEquationResult) -> JSON:
         "X_BT_ref": pose_json(line.X_BT_ref),
         "samples": line.samples,
         "seen": line.seen,
-        "look": look_json(result.look),
+        "look": look_json(look),
     }
 
 
@@ -250,19 +250,21 @@ def positioning_json(result: PositioningResult | CorrectedResult) -> JSON:
         "looks": [verdict_json(look) for look in result.looks],
         "steps": [step_json(step) for step in result.steps],
         "ended": result.ended,
+        "contradiction": doubt_json(result.contradiction),
     }
 
 
 def servoing_json(result: ServoingResult) -> JSON:
     """How visual servoing ended, and the look after it."""
-    approach = result.approach
+    approach, look = result
     return {
-        "error_mm": xyz(approach.error_m),
-        "spread_mm": xyz(approach.spread_m),
+        "error_mm": xyz(approach.end.mean_m),
+        "end": expected_json(approach.end),
+        "limit_mm": round(1e3 * approach.limit_m, 3),
         "time_s": round(approach.time_s, 3),
         "pictures": approach.pictures,
         "missed": approach.missed,
-        "look": look_json(result.look),
+        "look": look_json(look),
     }
 
 

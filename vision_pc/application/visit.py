@@ -6,10 +6,11 @@ from pydantic import Field
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import Copy, LookThenMoveSettings, Own, body_of
+from vision_pc.application.bodies import ApproachBody, LookThenMoveSettings
 from vision_pc.application.program import MOVING, Program
 from vision_pc.application.results import JSON, positioning_json
-from vision_pc.core.calibration.local_error_model import record_local_track
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.local_error_model import LocalTrack, record_local_track
 from vision_pc.core.ports import Report
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
 
@@ -43,35 +44,47 @@ async def visit(
     row = _row(application, settings)
     for number, target in enumerate(row):
 
-        def told(progress: float, note: str, number: int = number, target: str = target) -> None:
+        def report_share(progress: float, note: str, number: int = number, target: str = target) -> None:
             report((number + progress) / len(row), f"{target}: {note}")
 
         application.camera.targets.aim(target)
         calibrated = application.track is None
         try:
-            result = await _drive_to_target(application, settings, told)
+            result = await drive_corrected(application, settings, report_share)
         except MeasurementFailed as error:
             if calibrated or error.cause != "measurement.ill_conditioned":
                 raise
             calibrated, application.track = True, None
-            result = await _drive_to_target(application, settings, told)
+            result = await drive_corrected(application, settings, report_share)
         kept = application.camera.targets.get(target)
         visited.append(Visited(target, kept.known, kept.way_m, calibrated, result))
     return tuple(visited)
 
 
-async def _drive_to_target(
-    application: VisionApplication, settings: VisitSettings, report: Report
+async def drive_corrected(
+    application: VisionApplication, settings: LookThenMoveSettings, report: Report
 ) -> CorrectedResult:
-    arm, eyes, map_settings = application.arm, application.eyes, application.settings.local_map
-    track, application.track = application.track, None
+    """Drive by corrected positioning; the track, made where there is none, holds for the next."""
+    track, application.track = application.track, None  # a motion that fails leaves a gap in it
+    map_settings = application.settings.local_map
     if track is None:
-        track = await record_local_track(arm, eyes, report, map_settings, application.dimensions)
-    result = await look_then_move_corrected(
-        arm, eyes, report, settings, map_settings, application.dimensions, track
-    )
+        track = await new_track(application, map_settings, report)
+    arm, eyes, boom = application.arm, application.eyes, application.dimensions
+    result = await look_then_move_corrected(arm, eyes, report, settings, map_settings, boom, track)
     application.track = result.track
+    application.doubt(result.positioning.contradiction)
     return result
+
+
+async def new_track(
+    application: VisionApplication, settings: LocalErrorModelSettings, report: Report
+) -> LocalTrack:
+    """A local track recorded here; an object that stood still along it ends a doubt."""
+    arm, eyes = application.arm, application.eyes
+    track = await record_local_track(arm, eyes, report, settings, application.dimensions)
+    if track.object_stands:
+        application.trust("calibration")
+    return track
 
 
 def _row(application: VisionApplication, settings: VisitSettings) -> tuple[Id, ...]:
@@ -104,23 +117,24 @@ def visit_json(visited: tuple[Visited, ...]) -> JSON:
     }
 
 
+class VisitBody(ApproachBody):
+    """Targets of `/targets` in their order, by the corrected look-then-move."""
+
+    targets: tuple[Id, ...] | None = Field(
+        None,
+        min_length=1,
+        max_length=100,
+        examples=[["t1", "t2"]],
+        description="Left out: all, oldest first",
+    )
+
+
 VISIT = Program(
     "visit",
     "Drive to a row of targets, one after the other",
     run=visit,
     to_json=visit_json,
-    body=body_of(
-        "VisitBody",
-        "Targets of `/targets` in their order, by the corrected look-then-move.",
-        VisitSettings,
-        targets=Own(
-            Annotated[tuple[Id, ...], Field(min_length=1, max_length=100)] | None,
-            Field(None, examples=[["t1", "t2"]], description="Left out: all, oldest first"),
-        ),
-        clearance_m=0.1,
-        tolerance_mm=5.0,
-        corrections=Copy(description="Drives by odometry alone; 0: one shot"),
-    ),
+    body=VisitBody,
     settings=lambda application: VisitSettings(**application.settings.positioning.model_dump()),
     needs=(*MOVING, known_targets),
     core=look_then_move_corrected,

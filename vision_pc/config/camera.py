@@ -6,14 +6,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
-from foundation.configuration import StrictModel, beside
+from foundation.configuration import Host, StrictModel, beside
 from protocol.errors import ConfigurationError
 from vision_pc.config.stereo_camera import StereoCalibration
 
 Port = Annotated[int, Field(ge=1, le=65535)]
-
-_MOVED = ("left", "right", "baseline_m", "right_rotation_vector_deg")
-"""Keys that stood beside ``calibration`` before it could be a file: both at once would be two cameras."""
 
 
 class EyeSettings(StrictModel):
@@ -40,7 +37,7 @@ class PinholePair(StrictModel):
 class StreamSettings(StrictModel):
     """Raw TCP stream of stereo frames."""
 
-    host: str = "127.0.0.1"
+    host: Host = "127.0.0.1"
     port: Port = 47100
     reconnect_ms: float = Field(500.0, ge=10.0, le=60_000.0)
 
@@ -145,13 +142,3 @@ class CameraSettings(StrictModel):
     width_px: int = Field(ge=64, le=8192)
     height_px: int = Field(ge=64, le=8192)
     calibration: Annotated[Calibration, BeforeValidator(_load_named_file)]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_two_cameras(cls, document: Any) -> Any:
-        for key in _MOVED:
-            if isinstance(document, Mapping) and key in document:
-                raise ConfigurationError(
-                    "configuration.unknown_key", f"vision.yaml: camera.{key}: is now camera.calibration.{key}"
-                )
-        return document

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from foundation.configuration import ConfiguredFile, StrictModel
+from foundation.configuration import StrictModel
 
 Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
 Metres = Annotated[float, Field(gt=0.0, le=5.0)]
@@ -14,49 +14,30 @@ SixSmall = tuple[Small, Small, Small, Small, Small, Small]
 JOINTS = 6
 
 
-class CabinetSettings(StrictModel):
-    """A control cabinet as its maker drew it: the picture of its front, and where the targets are on it.
-
-    ``targets_m``: name → place from the front's middle, x right and y up.
-    """
-
-    drawing: ConfiguredFile
-    texel_mm: float = Field(gt=0.05, le=5.0)
-    targets_m: dict[str, tuple[float, float]] = Field(min_length=1, max_length=32)
-
-
 class ArmUncertainty(StrictModel):
     """How far the arm may be off its nominal model (standard deviations).
 
     ``zero_std_mrad`` of each encoder's zero. For each joint: ``play_mrad``, its backlash, anew in each pose,
     and ``bending_mrad_m``, its deflection for each metre of reach. ``link_*``, for each axis: the end of the
-    link that each joint carries; the last one's is the hand. If the nominal model puts the hand more than
-    ``fit_m`` or ``fit_mrad`` off what the controller reports, it is not the model of this arm.
+    link that each joint carries; the last one's is the hand.
     """
 
-    zero_std_mrad: Small
-    play_mrad: SixSmall
-    bending_mrad_m: SixSmall
-    link_offset_std_mm: SixSmall
-    link_tilt_std_mrad: SixSmall
-    fit_m: float = Field(0.005, gt=0.0, le=0.1)
-    fit_mrad: float = Field(3.0, gt=0.0, le=50.0)
+    zero_std_mrad: Small = 3.0
+    play_mrad: SixSmall = (0.3, 0.05, 0.05, 0.1, 0.1, 0.1)
+    bending_mrad_m: SixSmall = (0.0, 1.5, 6.0, 0.0, 0.0, 0.0)
+    link_offset_std_mm: SixSmall = (1.5, 1.5, 1.5, 0.3, 0.3, 1.0)
+    link_tilt_std_mrad: SixSmall = (0.7, 0.7, 0.7, 0.5, 0.5, 1.5)
 
 
 class GuidedSettings(StrictModel):
     """What is looked at, how many samples, from where, and what is assumed while planning.
 
-    ``mount_*`` is the camera in the hand as measured by tape, with its standard deviation a component: it
-    only plans, it never enters the result. ``robot_*``, ``corner_std_px``: noise a component assumed in
-    planning, ``robot_strain`` (m/m) and ``robot_twist`` (rad/rad) what is added away from the starting pose.
-    ``arm_zero_std_mrad``: how wrong the arm's zeros may be, as one constant turn about each axis of the
-    wrist; no sample tells it from a turned camera. ``arm``: the uncertainties of each joint and link, with
-    which the samples tell the zeros of single joints apart; none: the constant turn above.
-    ``principal_point_std_px``, ``focal_std`` (relative): what the camera's own calibration may be off by.
+    ``mount_*`` is the camera in the hand as measured by tape: it only plans, it never enters the result.
+    ``arm``: the uncertainties of each joint and link. ``principal_point_std_px``, ``focal_std`` (relative):
+    what the camera's own calibration may be off by.
     ``distance_m``, ``obliquity_deg``, ``roll_deg`` bound the view of the marker, ``turn_deg`` and ``reach_m``
     the hand about its starting pose; ``margin_px`` keeps the marker off the picture's rim and off what the
-    tool hides, ``clearance_m`` the tool off the marker's plane. ``moved_mrad``: an encoder that moves by more
-    while the sample is taken spoils it.
+    tool hides, ``clearance_m`` the tool off the marker's plane.
     """
 
     marker_id: int = Field(582, ge=0, le=1023)
@@ -67,21 +48,11 @@ class GuidedSettings(StrictModel):
     poses: int = Field(17, ge=5, le=100)
     frames: int = Field(5, ge=1, le=100)
     minimum_frames: int = Field(3, ge=1, le=100)
-    settle_timeout_s: float = Field(5.0, ge=0.0, le=60.0)
-    moved_mrad: float = Field(1.0, gt=0.0, le=50.0)
     mount_position_m: Vector3 = (-0.20, -0.05, -0.40)
     mount_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
-    mount_std_m: Metres = 0.02
-    mount_std_deg: Degrees = 6.0
-    robot_std_m: Metres = 0.001
-    robot_std_deg: Degrees = 0.1
-    robot_strain: float = Field(0.006, ge=0.0, le=0.1)
-    robot_twist: float = Field(0.004, ge=0.0, le=0.1)
-    arm_zero_std_mrad: float = Field(3.0, ge=0.0, le=50.0)
-    arm: ArmUncertainty | None = None
+    arm: ArmUncertainty = ArmUncertainty()
     principal_point_std_px: float = Field(0.7, ge=0.0, le=50.0)
     focal_std: float = Field(0.001, ge=0.0, le=0.1)
-    corner_std_px: float = Field(0.05, gt=0.0, le=5.0)
     distance_m: tuple[Metres, Metres] = (0.55, 0.85)
     obliquity_deg: Degrees = 40.0
     roll_deg: float = Field(60.0, ge=0.0, le=180.0)

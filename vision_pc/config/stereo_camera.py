@@ -17,7 +17,6 @@ _LEAST_BASELINE_M, _LARGEST_BASELINE_M = 0.005, 2.0
 _LARGEST_TURN_DEG = 45.0
 
 Vector3 = tuple[float, float, float]
-Row = tuple[float, ...]
 Focal = Annotated[float, Field(ge=50.0, le=20_000.0)]
 Place = Annotated[float, Field(ge=-8192.0, le=16_384.0)]
 
@@ -37,7 +36,7 @@ class RawEye(StrictModel):
     fy_px: Focal
     cx_px: Place
     cy_px: Place
-    distortion: Row
+    distortion: tuple[float, ...]
 
     @model_validator(mode="after")
     def _coefficients_are_counted(self) -> Self:
@@ -49,18 +48,12 @@ class RawEye(StrictModel):
             )
         return self
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the unknowns of this eye, in the covariance's order."""
-        return ("fx_px", "fy_px", "cx_px", "cy_px", *COEFFICIENTS[self.lens])
-
 
 class StereoCalibration(StrictModel):
     """Both eyes of a raw stereo camera.
 
     ``right_position_m`` (x, y, z) and ``right_rotation_vector_deg`` are the right eye in C: a point p_R in
-    its axes is at R p_R + position. ``covariance`` of the errors, where it is known: rows and columns are
-    ``parameters``, rotation vector in radians. ``source`` says where the numbers come from.
+    its axes is at R p_R + position. ``source`` says where the numbers come from.
     """
 
     format: Literal["longreach-camera/1"]
@@ -72,18 +65,6 @@ class StereoCalibration(StrictModel):
     right_position_m: Vector3
     right_rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
     rms_px: float | None = Field(None, ge=0.0)
-    covariance: tuple[Row, ...] | None = None
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of all unknowns: those of the left eye, of the right eye, then turn and place of the
-        latter.
-        """
-        eyes = [
-            f"{eye}.{name}" for eye, of in (("left", self.left), ("right", self.right)) for name in of.names
-        ]
-        turn = [f"right.rotation_{axis}_rad" for axis in "xyz"]
-        return (*eyes, *turn, *(f"right.position_{axis}_m" for axis in "xyz"))
 
     @model_validator(mode="after")
     def _eyes_belong_together(self) -> Self:
@@ -101,6 +82,11 @@ class StereoCalibration(StrictModel):
                 f"{_LARGEST_TURN_DEG:g} are believed; likely radians taken for degrees, or another "
                 "camera's axes"
             )
+        if abs(y) > math.hypot(x, z):
+            raise ValueError(
+                f"right_position_m: one eye stands {abs(y):g} m above the other: a vertical pair; eyes side "
+                "by side are wanted"
+            )
         if x <= math.hypot(y, z):
             raise ValueError(
                 f"right_position_m: the second eye is not to the right of the first (x {x:g} m); likely the "
@@ -117,25 +103,5 @@ class StereoCalibration(StrictModel):
                 raise ValueError(
                     f"{name}.cx_px, cy_px: ({eye.cx_px:g}, {eye.cy_px:g}) lies outside a picture of "
                     f"{self.width_px}x{self.height_px} px; likely numbers for another picture size"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _covariance_fits(self) -> Self:
-        if self.covariance is None:
-            return self
-        size = len(self.parameters)
-        if len(self.covariance) != size or any(len(row) != size for row in self.covariance):
-            raise ValueError(
-                f"covariance: {size} rows and columns are wanted, one for each of the parameters"
-            )
-        for i, row in enumerate(self.covariance):
-            if row[i] < 0.0 or any(
-                abs(value - self.covariance[j][i])
-                > 1e-6 * math.sqrt(row[i] * max(self.covariance[j][j], 0.0))
-                for j, value in enumerate(row)
-            ):
-                raise ValueError(
-                    f"covariance: row {i + 1} is not of a symmetric matrix with a positive diagonal"
                 )
         return self

@@ -1,23 +1,19 @@
 """Configuration of the vision PC: cameras, markers, looks, odometry and the addresses it talks to."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from foundation.configuration import HostName, StrictModel, configuration_hash
+from foundation.configuration import Host, HostName, StrictModel, configuration_hash
 from foundation.live import LiveSettings
 from foundation.rest.tokens import TokenSources
 from foundation.secret_source import SecretSource
 from nominal_arm.description import NominalArm
-from protocol.errors import ConfigurationError
 from protocol.reference_messages import ANY_ARM
 from vision_pc.config.camera import CameraSettings, Port
-from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
+from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.programs import ProgramSettings, TargetSettings
-
-Positive = Annotated[float, Field(gt=0.0)]
 
 
 def _ordered(sides: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
@@ -30,9 +26,6 @@ def _ordered(sides: tuple[float, float, float, float]) -> tuple[float, float, fl
 
 
 Rectangle = Annotated[tuple[float, float, float, float], AfterValidator(_ordered)]
-
-# Keys that this file once had: all of the arm's dimensions are derived from arm.yaml.
-_MOVED_TO_ARM = ("programs.local_map.arm", "hand_eye.arm.links", "hand_eye.wrist_to_tool_m")
 
 
 class ToolMarkerSettings(StrictModel):
@@ -110,12 +103,14 @@ class LookSettings(StrictModel):
     """How many pairs a look takes, and of how many tool and object must each be seen.
 
     A look that finds the right eye off its calibration by more than ``offset_limit_px`` is refused.
+    ``std_factor``: how much wider than its pictures say a look is known.
     """
 
     frames: int = Field(ge=1, le=1000)
     minimum_frames: int = Field(ge=1, le=1000)
     huber_sigmas: float = Field(ge=0.5, le=10.0)
     offset_limit_px: float = Field(gt=0.0, le=100.0)
+    std_factor: float = Field(ge=1.0, le=5.0)
 
     @model_validator(mode="after")
     def _minimum_fits(self) -> "LookSettings":
@@ -138,7 +133,6 @@ class OdometrySettings(StrictModel):
     disparity_std_px: float = Field(ge=0.0, le=5.0)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     keyframes: int = Field(ge=2, le=1000)
-    right_every: int = Field(ge=0, le=1000)
     lever_m: float = Field(ge=0.0, le=20.0)
 
 
@@ -151,7 +145,7 @@ class PoseFeedSettings(StrictModel):
     """
 
     source: Literal["own", "udp"] = "own"
-    host: str = "127.0.0.1"
+    host: Host = "127.0.0.1"
     port: int = Field(47200, ge=0, le=65_535)
     wait_ms: float = Field(300.0, ge=0.0, le=5_000.0)
     speed_m_s: float = Field(2.0, gt=0.0, le=50.0)
@@ -191,7 +185,7 @@ class LinkSettings(StrictModel):
     ``any_arm``: it may drive any; then nothing tells a wrong arm.yaml before the arm moves.
     """
 
-    host: str = "127.0.0.1"
+    host: Host = "127.0.0.1"
     port: Port = 47000
     state_period_ms: int = Field(20, ge=1, le=1000)
     link_key: SecretSource = SecretSource()
@@ -222,7 +216,7 @@ class ApiSettings(StrictModel):
     ``host`` is not loopback.
     """
 
-    host: str = "127.0.0.1"
+    host: Host = "127.0.0.1"
     port: Port = 8000
     allowed_hosts: tuple[HostName, ...] = ()
     emulator_face: str = Field("", pattern=r"^(https?://[A-Za-z0-9.\[\]:-]+)?$")
@@ -254,7 +248,6 @@ class VisionConfig(StrictModel):
     programs: ProgramSettings
     hand_eye: GuidedSettings = GuidedSettings()
     sessions_dir: Path = Path("runs/hand-eye")
-    cabinet: CabinetSettings | None = None
     targets: TargetSettings = TargetSettings()
     api: ApiSettings = ApiSettings()
     recording: RecordingSettings = RecordingSettings()
@@ -264,17 +257,3 @@ class VisionConfig(StrictModel):
     def odometry_of_recordings(self) -> OdometrySettings:
         """``odometry`` for a recording: with what is known of its camera."""
         return self.odometry.model_copy(update=self.recorded_odometry.model_dump())
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_the_arms_dimensions(cls, document: Any) -> Any:
-        for path in _MOVED_TO_ARM:
-            below = document
-            for part in path.split("."):
-                below = below.get(part) if isinstance(below, Mapping) else None
-            if below is not None:
-                raise ConfigurationError(
-                    "configuration.unknown_key",
-                    f"vision.yaml: {path}: the arm's dimensions are in arm.yaml (dh); remove this key",
-                )
-        return document

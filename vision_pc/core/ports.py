@@ -113,14 +113,6 @@ class PairsAtRest(NamedTuple):
     X_BT: Array
 
 
-class Photographer(Protocol):
-    """A camera that takes pictures of an arm at rest, for programs that look at other things than eyes."""
-
-    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
-        """``frames`` fresh pairs. Raises RequestRefused while the arm moves, LinkLost as ``Eyes.look``."""
-        ...
-
-
 class Watch(Protocol):
     """Samples along a motion, gathered in the background between entering and leaving ``Eyes.watch``."""
 

@@ -149,6 +149,29 @@ class FrameObservation(NamedTuple):
     misplaced: MisplacedMarker | None = None
 
 
+class Contradiction(NamedTuple):
+    """``what`` was seen ``shift_m`` and ``turn_rad`` from where it must be, by the look of ``time_ns``, and
+    nobody has answered that since (``positioning.doubt``).
+    """
+
+    what: str
+    shift_m: float
+    turn_rad: float
+    time_ns: int
+
+    def variance_m2(self, tolerance_m: float) -> float:
+        """Of where the object is next: it may go as far again, at least out of the tolerance."""
+        return max(self.shift_m, tolerance_m) ** 2
+
+    def __str__(self) -> str:
+        thing = "the object" if self.what == "object" else "the tool's marker"
+        why = "does it move?" if self.what == "object" else "was it or the camera touched?"
+        return (
+            f"{thing} was seen {1e3 * self.shift_m:.1f} mm and {math.degrees(self.turn_rad):.2f}° "
+            f"from where it was expected: {why}"
+        )
+
+
 class Look(NamedTuple):
     """Several pairs at rest combined robustly, with the controller's own X_BT at that time.
 
@@ -156,7 +179,7 @@ class Look(NamedTuple):
     ``cov_CM`` / ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
     square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C. ``X_BT`` is
     NaN where nothing says where the arm is: nothing can be computed from it. ``misplaced``: the marker whose
-    place most of the frames question.
+    place most of the frames question. ``doubt``: what stands in doubt of tool and object.
     """
 
     time_ns: int
@@ -172,11 +195,7 @@ class Look(NamedTuple):
     frame_cov_CO: Array
     offset: StereoOffset | None
     misplaced: MisplacedMarker | None = None
-
-    @property
-    def arm_known(self) -> bool:
-        """Whether a controller told where the arm was."""
-        return bool(np.isfinite(self.X_BT).all())
+    doubt: Contradiction | None = None
 
     @property
     def std_tool_m(self) -> Array:

@@ -1,23 +1,22 @@
 """The service's eyes put together: a camera, a thread to compute in, and the record of what was seen."""
 
 import asyncio
-import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
+from foundation import clock
 from foundation.event_log import EventLog
 from foundation.periods import take_policy
-from vision_pc.application.annotate import annotated, png
 from vision_pc.application.camera_eyes import CameraEyes
-from vision_pc.application.ports import Clock, FrameSource, Runtime, StateSource
+from vision_pc.application.ports import Clock, FrameSource, Runtime
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import VisionConfig
-from vision_pc.core.perception.intrinsics import calibration
-from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth
+from vision_pc.core.types import StereoPair
 from vision_pc.shell.pose_feed import UdpPoseFeed
 
 
-class MonotonicClock:
+class ProcessClock:
     """Implements ``vision_pc.application.ports.Clock`` for everything that shares one event loop."""
 
     def __init__(self) -> None:
@@ -25,8 +24,8 @@ class MonotonicClock:
 
     @property
     def now_ns(self) -> int:
-        """The machine's monotonic time."""
-        return time.monotonic_ns()
+        """The time of this process."""
+        return clock.now_ns()
 
     def wake(self) -> None:
         """Have everybody who waits look again."""
@@ -35,17 +34,21 @@ class MonotonicClock:
 
     async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for ``happened()``. Return False when ``timeout_s`` have passed first."""
+        until_ns = clock.now_ns() + round(1e9 * timeout_s)
+        alarm = clock.current().call_at(until_ns, self.wake)
         try:
-            # Not wait_for: it swallows a cancellation that comes together with the event (Python < 3.12).
-            async with asyncio.timeout(timeout_s):
-                while not happened():
-                    await self._news.wait()
-        except TimeoutError:
-            return happened()
+            while not happened():
+                if clock.now_ns() >= until_ns:
+                    return False
+                await self._news.wait()
+        finally:
+            alarm.cancel()
         return True
 
 
 T = TypeVar("T")
+TAKES_NS = 40_000_000
+"""What a measurement takes by the plant's clock, as on a machine that keeps up [M]; meanwhile time passes."""
 
 
 class BatchWorker:
@@ -62,14 +65,10 @@ class BatchWorker:
 
     async def run(self, work: Callable[[], T]) -> T:
         """What ``work`` returns."""
-        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
-
-    def submit(self, work: Callable[[], None]) -> None:
-        """Have ``work`` done later, in its turn."""
-        self._thread.submit(work)
+        return await clock.current().computed(self._thread, work, TAKES_NS)
 
     def close(self) -> None:
-        """End the thread, once it has finished what was submitted."""
+        """End the thread."""
         self._thread.shutdown()
 
 
@@ -107,43 +106,8 @@ class TaskWork:
         await asyncio.wait([self._task])
 
 
-class LookRecord:
-    """Implements ``EyesRecord``: pictures go into the record directory, if there is one."""
-
-    def __init__(self, config: VisionConfig, log: EventLog, worker: BatchWorker) -> None:
-        self._camera = calibration(config.camera)
-        self._clearance_m = config.programs.positioning.clearance_m
-        self._log = log
-        self._worker = worker
-        self._looks = 0
-
-    def pictured(self, frame: StereoPair, observation: FrameObservation) -> None:
-        """Have the worker write the look's last picture, with its detections."""
-        directory = self._log.record_dir
-        if directory is None:
-            return
-        self._looks += 1
-        path = directory / f"look-{self._looks:04d}.png"
-
-        def write() -> None:
-            try:
-                path.write_bytes(png(annotated(frame, observation, self._camera, self._clearance_m)))
-            except OSError as error:
-                fields = {"cause": "recording.unwritable", "detail": f"{path}: {error.strerror}"}
-                self._log.write("picture_failed", "error", **fields)
-
-        self._worker.submit(write)
-
-    def looked(self, look: Look) -> None:
-        """Do nothing: the station writes every look of its programs."""
-
-    def watched(self, health: WatchHealth) -> None:
-        """Write what the watch missed."""
-        self._log.write("watched", **health._asdict())
-
-
 class OpenedEyes(NamedTuple):
-    """Eyes and the worker that they compute in; its ``close`` waits for the last picture to be written."""
+    """Eyes and the worker that they compute in."""
 
     eyes: CameraEyes
     worker: BatchWorker
@@ -157,11 +121,11 @@ class OpenedEyes(NamedTuple):
 
 
 def open_eyes(
-    camera: FrameSource[StereoPair], states: StateSource, config: VisionConfig, log: EventLog
+    camera: FrameSource[StereoPair], states: ReferenceLink, config: VisionConfig, log: EventLog
 ) -> OpenedEyes:
     """Eyes on ``camera`` within the running event loop. Raises ConfigurationError for a feed's taken port."""
     feed = UdpPoseFeed(config.odometry_feed, log) if config.odometry_feed.source == "udp" else None
-    clock, worker = MonotonicClock(), BatchWorker()
-    runtime = Runtime(clock, worker, TaskBackground(clock))
-    eyes = CameraEyes(camera, states, config, runtime, LookRecord(config, log, worker), feed)
+    time, worker = ProcessClock(), BatchWorker()
+    runtime = Runtime(time, worker, TaskBackground(time))
+    eyes = CameraEyes(camera, states, config, runtime, log, feed)
     return OpenedEyes(eyes, worker, feed)

@@ -9,6 +9,7 @@ from collections import deque
 from scipy.spatial.transform import Rotation
 
 from foundation.event_log import EventLog
+from foundation.numbers_as_written import written_number
 from protocol.errors import ConfigurationError
 from vision_pc.config.vision import PoseFeedSettings
 from vision_pc.core import se3
@@ -22,8 +23,8 @@ _TOLD_S = 5.0
 
 def pose_of(line: str) -> tuple[float, se3.Array]:
     """Unix time (s) and X_WC (4, 4) of ``t x y z qx qy qz qw``. Raises ValueError."""
-    numbers = [float(word) for word in line.split()]
-    if len(numbers) != 8 or not all(map(math.isfinite, numbers)):
+    numbers = [written_number(word) for word in line.split()]
+    if len(numbers) != 8:
         raise ValueError(f"{line[:80]!r}: not eight finite numbers t x y z qx qy qz qw")
     if not 0.5 < math.hypot(*numbers[4:]) < 2.0:
         raise ValueError(f"{line[:80]!r}: qx qy qz qw is no unit quaternion")
@@ -49,7 +50,7 @@ class UdpPoseFeed:
         self._socket.settimeout(_POLL_S)
         self._news = threading.Condition()
         self._poses: deque[TimedPose] = deque(maxlen=_KEPT)
-        self._told_s, self.refused = -math.inf, 0
+        self._logged_s, self.refused = -math.inf, 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._hear, name="pose-feed", daemon=True)
         self._thread.start()
@@ -103,6 +104,6 @@ class UdpPoseFeed:
     def _refuse(self, why: str) -> None:
         self.refused += 1
         now_s = time.monotonic()
-        if now_s - self._told_s > _TOLD_S:
-            self._told_s = now_s
+        if now_s - self._logged_s > _TOLD_S:
+            self._logged_s = now_s
             self._log.write("pose_refused", "warning", cause="feed.bad_pose", detail=why, count=self.refused)

@@ -13,10 +13,16 @@ from nominal_arm.description import NominalArm
 N_JOINTS = 6
 _TRAVEL_DEG = (3.0, 3.0, 3.0, 5.0, 5.0, 5.0)  # [D] 0.2 m at the tool at 4 m
 _TOP_SPEED_DEG_S = (2.5, 2.5, 2.5, 6.0, 6.0, 6.0)  # [D] a fifth of what is commanded in work
-_RAMP_RATE_1_S = 0.01  # [D] slow against valve and oil, quick enough for 15 minutes in all
+SEARCH_RATE_1_S = 0.03  # [D] of the spool: through the widest overlap in 6 s
+RAMP_RATE_1_S = 0.01  # [D] slow against valve and oil, quick enough for 15 minutes in all
 # Ramps begin this far below where the valve was seen to open, the first one three times as far.
-_START_BELOW = 0.01  # [D]
-_OTHERS_MRAD = 30.0  # [D] closed valves leak: with an empty tool the wrist sinks by 0.3 mrad/s [M]
+START_BELOW = 0.01  # [D]
+MOVED_RAD = 0.6e-3  # [D] counts as motion: twelve encoder digits
+OTHERS_RAD = 30e-3  # [D] closed valves leak: with an empty tool the wrist sinks by 0.3 mrad/s [M]
+REST_S = 0.4  # [D] between strokes, until the loaded boom has swung out
+PATIENCE_S = 20.0  # [D] a boom that swings on by then does so by itself
+STEP_S = 2.5  # [D] at most: more than two periods of the slowest swing
+STROKE_S = 40.0  # [D] at most
 
 
 class StrokeKind(IntEnum):
@@ -45,27 +51,15 @@ class ExcitationLimits(NamedTuple):
     """What bounds every excitation; arrays are (6,), SI and radians, spools as shares of the full one.
 
     ``travel``: of one stroke. ``top_speed``: at the top of a ramp; ``speed_limit``, ``joint_range`` (2, 6):
-    at which the excitation ends. ``search_rate``, ``ramp_rate`` (1/s): of the spool. ``moved`` (rad): what
-    counts as motion. ``start_below``: how far below the spool that moved the joint a ramp begins.
-    ``rest_s``: at rest between strokes, within ``patience_s``; ``step_s``: a step at most. ``pressure_bar``:
-    in any chamber. ``others`` (rad): what another joint may move.
+    at which the excitation ends. ``spool_max``: of the full one. ``pressure_bar``: in any chamber.
     """
 
     travel: Array
     top_speed: Array
     speed_limit: Array
     joint_range: Array
-    search_rate: float
-    ramp_rate: float
     spool_max: float
-    moved: float
-    start_below: float
-    rest_s: float
-    patience_s: float
-    step_s: float
-    stroke_s: float
     pressure_bar: float
-    others: float
 
 
 class ExcitationPlan(NamedTuple):
@@ -110,17 +104,8 @@ def excitation_plan(arm: NominalArm, config: ControllerConfig) -> ExcitationPlan
         joint_range=np.radians(
             [[j.lower_deg + margin for j in arm.joints], [j.upper_deg - margin for j in arm.joints]]
         ),
-        search_rate=chosen.search_rate_1_s,
-        ramp_rate=_RAMP_RATE_1_S,
         spool_max=chosen.spool_max,
-        moved=chosen.moved_mrad * 1e-3,
-        start_below=_START_BELOW,
-        rest_s=chosen.rest_ms * 1e-3,
-        patience_s=chosen.patience_s,
-        step_s=chosen.step_s,
-        stroke_s=chosen.stroke_s,
         pressure_bar=chosen.pressure_bar,
-        others=_OTHERS_MRAD * 1e-3,
     )
     return ExcitationPlan(limits, strokes_of(chosen.joints, top_speed, chosen.ramps))
 

@@ -7,6 +7,15 @@ when the joint has moved, is fast enough or has turned far enough. The other val
 import numpy as np
 
 from controller.core.excitation.plan import (
+    MOVED_RAD,
+    OTHERS_RAD,
+    PATIENCE_S,
+    RAMP_RATE_1_S,
+    REST_S,
+    SEARCH_RATE_1_S,
+    START_BELOW,
+    STEP_S,
+    STROKE_S,
     SWING_RAD_S,
     Excitation,
     ExcitationLimits,
@@ -59,14 +68,14 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
     others[joint] = 0.0
     blocked = (
         state.still_s > _BLOCKED_S
-        and turned > limits.moved
+        and turned > MOVED_RAD
         and state.swing != 0.0  # a closed valve creeps, but slowly
         and state.phase not in (Phase.TURNING, Phase.FALLING)
     )
     checks = (
-        (turned < -2.0 * limits.moved and backwards, "wrong_way", turned, -2.0 * limits.moved),
+        (turned < -2.0 * MOVED_RAD and backwards, "wrong_way", turned, -2.0 * MOVED_RAD),
         (abs(state.spool) > limits.spool_max, "no_motion", abs(state.spool), limits.spool_max),
-        (state.stroke_s > limits.stroke_s, "too_slow", state.stroke_s, limits.stroke_s),
+        (state.stroke_s > STROKE_S, "too_slow", state.stroke_s, STROKE_S),
         (blocked, "blocked", turned, far),
         (state.reversals >= _OSCILLATIONS, "oscillates", float(state.reversals), float(_OSCILLATIONS)),
         (turned > far, "too_far", turned, far),
@@ -74,7 +83,7 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
         (sense > 0.0 and angle > high, "joint_limit", angle, float(high)),
         (sense < 0.0 and angle < low, "joint_limit", angle, float(low)),
         (seen.pressure_bar > limits.pressure_bar, "pressure", seen.pressure_bar, limits.pressure_bar),
-        (float(others.max()) > limits.others, "other_joint_moved", float(others.max()), limits.others),
+        (float(others.max()) > OTHERS_RAD, "other_joint_moved", float(others.max()), OTHERS_RAD),
     )
     for broken, cause, value, limit in checks:
         if broken:
@@ -155,10 +164,10 @@ def _rest(
 ) -> tuple[Excitation, Trouble | None]:
     q, limits, stroke = seen.q, settings.limits, settings.strokes[state.stroke]
     state = state._replace(phase_s=state.phase_s + dt_s)
-    if state.phase_s > limits.patience_s:
+    if state.phase_s > PATIENCE_S:
         speed = abs(float(state.speed[stroke.joint]))
         return ended(state), Trouble("commissioning.not_at_rest", stroke.joint, speed, _STILL_RAD_S)
-    if min(state.still_s, state.phase_s) < limits.rest_s:
+    if min(state.still_s, state.phase_s) < REST_S:
         return state, None
     crept = np.abs(q - state.place)
     crept[stroke.joint] = 0.0
@@ -188,9 +197,9 @@ def _brought_back(
     sense = float(np.sign(state.place[joint] - state.q_start[joint]))
     lost, speed = -sense * float(seen.q[joint] - state.q_start[joint]), sense * float(state.speed[joint])
     checks = (
-        (lost > limits.others, "wrong_way", lost, limits.others),
+        (lost > OTHERS_RAD, "wrong_way", lost, OTHERS_RAD),
         (abs(state.spool) > limits.spool_max, "no_motion", abs(state.spool), limits.spool_max),
-        (state.phase_s > limits.stroke_s, "too_slow", state.phase_s, limits.stroke_s),
+        (state.phase_s > STROKE_S, "too_slow", state.phase_s, STROKE_S),
         (seen.pressure_bar > limits.pressure_bar, "pressure", seen.pressure_bar, limits.pressure_bar),
     )
     for broken, cause, value, limit in checks:
@@ -201,7 +210,7 @@ def _brought_back(
         return rest, None
     if speed > _BACK_SPEED * float(limits.top_speed[joint]):
         return state, None
-    return state._replace(spool=state.spool + sense * limits.search_rate * dt_s), None
+    return state._replace(spool=state.spool + sense * SEARCH_RATE_1_S * dt_s), None
 
 
 def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
@@ -215,7 +224,7 @@ def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) ->
     at = stroke.joint, side_of(sense)
     rim, slope = float(state.rim[at]), float(state.slope[at])
     if stroke.kind is StrokeKind.RAMP:
-        return sense * max(rim - (1.0 if slope > 0.0 else _UNSURE) * limits.start_below, 0.0)
+        return sense * max(rim - (1.0 if slope > 0.0 else _UNSURE) * START_BELOW, 0.0)
     return sense * min(rim + (stroke.speed / slope if slope > 0.0 else 0.0), limits.spool_max)
 
 
@@ -237,18 +246,18 @@ def _done(state: Excitation, settings: ExcitationPlan) -> Excitation:
 def _search(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) -> Excitation:
     stroke = settings.strokes[state.stroke]
     sense = sense_of(state, stroke)
-    if turned_by(state, stroke, q) >= settings.limits.moved:
+    if turned_by(state, stroke, q) >= MOVED_RAD:
         rim = state.rim.copy()
         rim[stroke.joint, side_of(sense)] = abs(state.spool)
         return _done(state._replace(rim=rim), settings)
-    return state._replace(spool=state.spool + sense * settings.limits.search_rate * dt_s)
+    return state._replace(spool=state.spool + sense * SEARCH_RATE_1_S * dt_s)
 
 
 def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) -> Excitation:
     limits, stroke = settings.limits, settings.strokes[state.stroke]
     sense = sense_of(state, stroke)
     speed = sense * float(state.speed[stroke.joint])
-    step = sense * stroke.pace * limits.ramp_rate * dt_s
+    step = sense * stroke.pace * RAMP_RATE_1_S * dt_s
     if state.phase is Phase.RISING:
         return _rising(limits, state, stroke, q, step)
     slower = speed < TURNED * state.top_speed
@@ -277,7 +286,7 @@ def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Arra
             phase=Phase.TURNING, phase_s=0.0, top_speed=speed, top=top, spool=state.spool - back
         )
     moves = speed > _LOW * stroke.speed or turned > _LOW * _LOW * travel
-    if state.low_speed == 0.0 and turned > limits.moved and moves:
+    if state.low_speed == 0.0 and turned > MOVED_RAD and moves:
         state = state._replace(low_speed=speed, low=abs(state.spool))
     return state._replace(spool=state.spool + step)
 
@@ -287,6 +296,6 @@ def _step(settings: ExcitationPlan, state: Excitation, q: Array) -> Excitation:
     speed = sense_of(state, stroke) * float(state.speed[stroke.joint])
     state = state._replace(top_speed=max(state.top_speed, speed))
     far = turned_by(state, stroke, q) >= _stroke_travel(limits, state, stroke)
-    if far or state.phase_s >= limits.step_s or speed > _RUNS_AWAY * float(limits.top_speed[stroke.joint]):
+    if far or state.phase_s >= STEP_S or speed > _RUNS_AWAY * float(limits.top_speed[stroke.joint]):
         return _done(with_steeper(state, stroke), settings)
     return state

@@ -1,6 +1,13 @@
 """What strokes tell of their valve: where it opens, how much it gives, how far it hangs behind; pure."""
 
-from controller.core.excitation.plan import Excitation, ExcitationLimits, Phase, Stroke, sense_of
+from controller.core.excitation.plan import (
+    RAMP_RATE_1_S,
+    Excitation,
+    ExcitationLimits,
+    Phase,
+    Stroke,
+    sense_of,
+)
 
 # A spool with hysteresis stands still while its command turns back: that part is passed quickly.
 _TURNING_1_S = 1.5  # [D] of the opening at the top, each second; at least the ramp's own rate
@@ -25,11 +32,11 @@ def with_rim(state: Excitation, stroke: Stroke, speed: float) -> Excitation:
     if not speed > state.low_speed > 0.0 or not spool > state.low:
         return state
     rim, slope = state.rim.copy(), state.slope.copy()
-    told = (speed - state.low_speed) / (spool - state.low)
-    below = state.low_speed / told
+    measured = (speed - state.low_speed) / (spool - state.low)
+    below = state.low_speed / measured
     if slope[joint, side] > 0.0 and below > _LEVER * (spool - state.low):
         return state
-    slope[joint, side], rim[joint, side] = told, max(state.low - below, 0.0)
+    slope[joint, side], rim[joint, side] = measured, max(state.low - below, 0.0)
     return state._replace(rim=rim, slope=slope)
 
 
@@ -65,7 +72,7 @@ def with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> E
     state = state._replace(phase=Phase.FALLING, phase_s=0.0)
     if not _finds_slack(limits, stroke):
         return state
-    rate = max(turning_rate(state, stroke), stroke.pace * limits.ramp_rate)
+    rate = max(turning_rate(state, stroke), stroke.pace * RAMP_RATE_1_S)
     quick = rate * _LAG_S + 2.0 * (1.0 - TURNED) * rate / _TURNING_1_S
     found = max(state.top - abs(state.spool) - quick, 0.0)
     slack = state.slack.copy()

@@ -13,6 +13,7 @@ import numpy as np
 from controller.core.kinematics.denavit_hartenberg import chain, damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array, orientation_error, quaternion_from_matrix
 from controller.core.servo.joint_control import JointFilters, JointGains, Pressures, valve_commands
+from controller.core.servo.settling import Settling, settle_joint
 from controller.core.trajectories.paths import Desired
 from foundation.compiled import kernel
 from nominal_arm.description import CylinderDrive, Drive, RatedSupply
@@ -94,11 +95,10 @@ def full_spool_speeds(drives: Array, q: Array, rated: Circuit, circuit: Circuit,
 
 
 class ServoGains(NamedTuple):
-    """K_p and K_θ (1/s), dead zone of the integral (rad), damping: its onset (σ) and its greatest λ."""
+    """K_p and K_θ (1/s), damping: its onset (σ) and its greatest λ."""
 
     position: float
     orientation: float
-    dead_zone: float
     damping_onset: float
     damping_max: float
 
@@ -135,12 +135,13 @@ def tool_state(table: Array, q: Array) -> ToolState:
 
 
 @kernel
-def resolve(tool: ToolState, desired: Desired, gains: ServoGains) -> Resolved:
+def resolve(tool: ToolState, desired: Desired, gains: ServoGains, dead_zones: Array) -> Resolved:
     """Desired joint speeds (4) that bring ``tool`` to ``desired``.
 
     Why a dead zone: p comes from the encoders, so (4) with (5) is integral action around (6); on stick and
-    slip an integral never rests but hunts. A joint whose share of the error is inside the zone stops
-    integrating. δr counts half the angle, so K_θ = 2 K_p turns and moves at one pace.
+    slip an integral never rests but hunts. A joint whose share of the error is inside its zone of
+    ``dead_zones`` (6,), rad, stops integrating. δr counts half the angle, so K_θ = 2 K_p turns
+    and moves at one pace.
     """
     inverse, least, square = damped_inverse(tool.J_BT, gains.damping_onset, gains.damping_max)
     turn = orientation_error(desired.quaternion, tool.quaternion)
@@ -155,28 +156,30 @@ def resolve(tool: ToolState, desired: Desired, gains: ServoGains) -> Resolved:
     qd_back = inverse @ correction
     for i in range(6):
         size = abs(q_error[i])
-        if size > gains.dead_zone:  # a continuous dead zone
-            qd_cmd[i] += qd_back[i] * (size - gains.dead_zone) / size
+        if size > dead_zones[i]:  # a continuous dead zone
+            qd_cmd[i] += qd_back[i] * (size - dead_zones[i]) / size
     return Resolved(qd_cmd, q_error, least, square)
 
 
 # Rows of the result, each (6,): joint command (rad), its speed (rad/s), valve commands, filters' two outputs,
 # last ways of the spools (sense, furthest), what is left to the desired pose (rad), slow pilot
-# pressures (bar).
-Q_CMD, QD_CMD, VALVES, PT1, LOAD, SENSE, FURTHEST, LEFT, PILOT = range(9)
-ROWS = 9
+# pressures (bar), the three rows of ``Settling``.
+Q_CMD, QD_CMD, VALVES, PT1, LOAD, SENSE, FURTHEST, LEFT, PILOT, HELD, ERROR, STOOD = range(12)
+ROWS = 12
 
 
 class ServoConstants(NamedTuple):
     """What the servo's laws are set to. ``drives``, ``rated``: see ``drives.full_spool_speeds``.
 
-    ``tolerance`` (rad): of the joint-equivalent error inside which the arm counts as settled.
+    Of the joint-equivalent error (rad): ``dead_zone``, inside which a joint's integral stops, and
+    ``tolerance``, beyond which it begins again and inside which the arm counts as settled.
     """
 
     gains: ServoGains
     joints: JointGains
     drives: Array
     rated: Circuit
+    dead_zone: float
     tolerance: float
 
 
@@ -184,7 +187,7 @@ class ServoInput(NamedTuple):
     """What one step starts from. ``rate``: of time along the way, and share of the valve commands.
 
     ``felt``: on the joints now; ``circuit`` and ``slow_load`` (6,): what the drives' speeds are
-    taken at. ``q_meas``, ``q_cmd`` (6,): measured and commanded before.
+    taken at. ``q_meas``, ``q_cmd`` (6,): measured and commanded before; ``settling``: before.
     """
 
     tool: ToolState
@@ -196,19 +199,21 @@ class ServoInput(NamedTuple):
     felt: Pressures
     circuit: Circuit
     slow_load: Array
+    settling: Settling
 
 
 @kernel
 def servo_step(constants: ServoConstants, given: ServoInput, dt_s: float, out: Array) -> tuple[bool, bool]:
-    """Whether all valve commands are finite, and whether the tool is inside the tolerance.
+    """Whether all valve commands are finite, and whether all joints stand still inside the tolerance.
 
-    Fills ``out`` (9, 6), rows Q_CMD … PILOT. Source: (4), (5), (6), (25).
+    Fills ``out`` (12, 6), rows Q_CMD … STOOD. Source: (4), (5), (6), (25).
     """
-    desired, rate = given.desired, given.rate
+    desired, rate, dead_zone = given.desired, given.rate, constants.dead_zone
     if rate != 1.0:  # accelerations are left, the servo does not use them
         v, omega = rate * desired.v, rate * desired.omega
         desired = Desired(desired.p, v, desired.a, desired.quaternion, omega, desired.alpha)
-    resolved = resolve(given.tool, desired, constants.gains)
+    dead_zones = np.where(given.settling.held > 0.0, constants.tolerance, dead_zone)
+    resolved = resolve(given.tool, desired, constants.gains, dead_zones)
     q_cmd = given.q_cmd + dt_s * resolved.qd_cmd
     speeds = full_spool_speeds(
         constants.drives, given.q_meas, constants.rated, given.circuit, given.slow_load
@@ -216,12 +221,15 @@ def servo_step(constants: ServoConstants, given: ServoInput, dt_s: float, out: A
     valves, filters = valve_commands(
         constants.joints, given.filters, q_cmd - given.q_meas, resolved.qd_cmd, given.felt, speeds, dt_s
     )
-    finite, inside = True, True
+    finite, stands = True, True
     for i in range(6):
         out[Q_CMD, i], out[QD_CMD, i], out[VALVES, i] = q_cmd[i], resolved.qd_cmd[i], rate * valves[i]
         out[PT1, i], out[LOAD, i], out[LEFT, i] = filters.pt1[i], filters.load[i], resolved.q_error[i]
         out[SENSE, i], out[FURTHEST, i] = filters.sense[i], filters.furthest[i]
         out[PILOT, i] = filters.pilot[i]
         finite = finite and np.isfinite(valves[i])
-        inside = inside and abs(resolved.q_error[i]) <= constants.tolerance
-    return finite, inside
+        out[HELD, i], out[ERROR, i], out[STOOD, i], still = settle_joint(
+            i, given.settling, resolved.q_error[i], (dead_zone, constants.tolerance), dt_s
+        )
+        stands = stands and still
+    return finite, stands

@@ -1,8 +1,6 @@
 """Simulated hand-eye scenes with known truth: where the poses stand, what noise is laid on which of them.
 
-Noise on absolute poses and on relative motions, of the camera and of the robot, are kept apart on purpose:
-they give different orders of the methods, and the paper does not say which it used beyond "the camera
-motion".
+Noise of the camera and of the robot are kept apart on purpose: they give different orders of the methods.
 """
 
 import math
@@ -15,7 +13,6 @@ from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
-from vision_pc.core.hand_eye.solvers.motions import Motions
 from vision_pc.core.se3 import Array, nearest_rotation
 
 # Hua et al. 2024, Table 1: quaternion x, y, z, w (two decimals, norms 0.48 to 0.84) and position in metres
@@ -149,16 +146,6 @@ def measured_with_bad(
     return pose_pairs(X_BT, P, Setup.EYE_IN_HAND), {str(k + 1) for k in spoiled}
 
 
-def measured_motions(scene: HandEyeScene, n: Noise, rng: np.random.Generator) -> Motions:
-    """The motions from each pose to the next, with camera noise on each relative motion by itself."""
-    H, P = scene.X_BT, scene.P()
-    A = stacks.inverse(H[1:]) @ H[:-1]
-    B = stacks.transform(
-        *_disturbed_left(P[1:] @ stacks.inverse(P[:-1]), n.camera_rotation, n.camera_translation, rng)
-    )
-    return Motions(A, B)
-
-
 def _disturbed_left(
     X: Array, rotation: float, translation: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
@@ -173,19 +160,10 @@ class Bound(NamedTuple):
     translation_mm: float
 
 
-def bound(scene: HandEyeScene, n: Noise, relative: bool = False) -> Bound:
-    """The Cramér-Rao bound of X for that noise on absolute poses, or on the motions in sequence."""
-    if relative:
-        H = scene.X_BT
-        A = stacks.inverse(H[1:]) @ H[:-1]
-        B = stacks.inverse(scene.X) @ A @ scene.X
-        equations = Equations(stacks.inverse(A), B, np.ones(len(A)), tied=True)
-        target = scene.X
-    else:
-        equations = Equations(scene.X_BT, scene.P(), np.ones(len(scene.X_BT)))
-        target = scene.Z
-    J = ml.jacobian(equations, scene.X, target, np.zeros((len(equations.H), 6)))
-    white = ml.whitened(ml.whitener(equations, scene.X, target, n), J).reshape(-1, J.shape[-1])
-    covariance = np.linalg.inv(white.T @ white)[:6, :6]
-    variances = np.diag(covariance)
+def bound(scene: HandEyeScene, n: Noise) -> Bound:
+    """The Cramér-Rao bound of X for that noise on absolute poses."""
+    equations = Equations(scene.X_BT, scene.P(), np.ones(len(scene.X_BT)))
+    J = ml.jacobian(equations, scene.X, scene.Z, np.zeros((len(equations.H), 6)))
+    white = ml.whitened(ml.whitener(equations, scene.X, scene.Z, n), J).reshape(-1, J.shape[-1])
+    variances = np.diag(np.linalg.inv(white.T @ white))[:6]
     return Bound(math.degrees(math.sqrt(variances[3:].sum())), 1e3 * math.sqrt(variances[:3].sum()))

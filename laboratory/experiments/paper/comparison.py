@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
-from laboratory.campaigns.rows import Row
+from laboratory.campaigns.rows import Row, column
+from vision_pc.core.se3 import Array
 
 
 class Published(NamedTuple):
@@ -49,8 +49,6 @@ TABLE_4_SECOND = (
 )
 
 
-Array = NDArray[np.float64]
-
 FACTOR = 2.0
 """Our means in x and y are wanted within this factor of the paper's."""
 SUB_CENTIMETRE_MM = 10.0
@@ -65,6 +63,7 @@ class Part(NamedTuple):
     title: str
     published: tuple[Published, ...]
     ours: tuple[str, ...]
+    judged: bool = True
 
 
 class Table(NamedTuple):
@@ -97,7 +96,7 @@ TABLES = {
         "match",
         (
             Part("mean along the path, base axes", TABLE_3_MEAN, _axes("residual")),
-            Part("greatest along the path, base axes", TABLE_3_MAXIMUM, _axes("residual_max")),
+            Part("greatest along the path, base axes", TABLE_3_MAXIMUM, _axes("residual_max"), False),
         ),
     ),
     "table4": Table(
@@ -118,7 +117,6 @@ class Compared(NamedTuple):
     ``FACTOR``. NaN where nothing was measured.
     """
 
-    table: str
     part: str
     name: str
     paper: Published
@@ -146,60 +144,47 @@ class Conclusion(NamedTuple):
 
 def compared(name: str, rows: Sequence[Row]) -> list[Compared]:
     """Every figure of table ``name`` beside ours, from rows of its kind; absolute values, as in the paper."""
-    table = TABLES[name]
-    made = []
-    for part in table.parts:
-        for paper, column in zip(part.published, part.ours, strict=True):
-            ours = values(rows, column)
-            judged = "z" not in paper.name and "greatest" not in part.title
-            made.append(_beside(table.title, part.title, paper, np.abs(ours), judged))
-    return made
+    return [
+        _beside(part.title, paper, np.abs(values(rows, ours)), "z" not in paper.name and part.judged)
+        for part in TABLES[name].parts
+        for paper, ours in zip(part.published, part.ours, strict=True)
+    ]
 
 
-def _beside(table: str, part: str, paper: Published, ours: Array, judged: bool) -> Compared:
-    if not len(ours):
-        nothing = float("nan")
-        return Compared(
-            table, part, paper.name, paper, 0, nothing, nothing, nothing, nothing, nothing, judged
-        )
-    spread = float(ours.std(ddof=1)) if len(ours) > 1 else 0.0
-    p5, p95 = (float(p) for p in np.percentile(ours, (5.0, 95.0)))
-    mean = float(ours.mean())
-    ratio = mean / paper.mean
-    return Compared(table, part, paper.name, paper, len(ours), mean, spread, p5, p95, ratio, judged)
+def _beside(part: str, paper: Published, ours: Array, judged: bool) -> Compared:
+    mean = spread = p5 = p95 = float("nan")
+    if len(ours):
+        mean, spread = float(ours.mean()), float(ours.std(ddof=1)) if len(ours) > 1 else 0.0
+        p5, p95 = (float(p) for p in np.percentile(ours, (5.0, 95.0)))
+    return Compared(part, paper.name, paper, len(ours), mean, spread, p5, p95, mean / paper.mean, judged)
 
 
-def values(rows: Sequence[Row], column: str) -> Array:
-    """The figures of ``column``, of the runs that have it."""
-    return np.array([row[column] for row in rows if row.get(column) is not None], dtype=float)
+def values(rows: Sequence[Row], name: str) -> Array:
+    """The figures of a column, of the runs that have it."""
+    found = column(rows, name)
+    return found[np.isfinite(found)]
 
 
-def worst(row: Row, stage: str) -> float:
-    """The greater of |x| and |y| (mm) at a stage, infinite where the run did not get there."""
-    x, y = row.get(f"{stage}_x_mm"), row.get(f"{stage}_y_mm")
-    return float("inf") if x is None or y is None else max(abs(float(x)), abs(float(y)))
+def worst_mm(rows: Sequence[Row], stage: str) -> Array:
+    """The greater of |x| and |y| (n,), mm, at a stage, infinite where a run did not get there."""
+    worst = np.maximum(*(np.abs(column(rows, f"{stage}_{axis}_mm")) for axis in "xy"))
+    return np.nan_to_num(worst, nan=np.inf)
 
 
 def conclusions(name: str, rows: Sequence[Row]) -> list[Conclusion]:
     """The paper's conclusions that table ``name`` carries, tried on our rows."""
     if not rows:
         return []
-    return {"table2": _of_line, "table3": _none, "table4": _of_inputs}[name](rows)
-
-
-def _none(_: Sequence[Row]) -> list[Conclusion]:
-    """Of Table 3 the paper says that its errors are small, which the means beside it judge."""
-    return []
+    kinds = {"table2": _of_line, "table4": _of_inputs}  # table 3 is judged by its means
+    return kinds[name](rows) if name in kinds else []
 
 
 def _of_line(rows: Sequence[Row]) -> list[Conclusion]:
-    first, second = (np.array([worst(row, stage) for row in rows]) for stage in ("input1", "input2"))
+    first, second = (worst_mm(rows, stage) for stage in ("input1", "input2"))
     under = float(np.mean(first < SUB_CENTIMETRE_MM))
     both = np.isfinite(first) & np.isfinite(second)
     after = [float(np.median(errors[both])) for errors in (first, second)] if both.any() else [np.nan] * 2
-    turned = np.array(
-        [[abs(row[f"oriented_r{axis}_deg"]) for axis in "xyz"] for row in rows if _has_orientation(row)]
-    )
+    turned = np.abs(np.transpose([values(rows, f"oriented_r{axis}_deg") for axis in "xyz"]))
     near = float(np.mean((turned < _NEAR_ZERO_DEG).sum(axis=1) >= 2)) if len(turned) else float("nan")
     return [
         Conclusion(
@@ -220,29 +205,8 @@ def _of_line(rows: Sequence[Row]) -> list[Conclusion]:
     ]
 
 
-def _has_orientation(row: Row) -> bool:
-    return row.get("oriented_rx_deg") is not None
-
-
-def residuals_tell(rows: Sequence[Row]) -> str:
-    """Whether a match's residuals reveal the rotation's error, in a sentence (our question, not the paper's).
-
-    Empty where fewer than three runs were matched.
-    """
-    reached = [row for row in rows if row.get("rotation_error_deg") is not None]
-    if len(reached) < 3:
-        return ""
-    residual, error = values(reached, "residual_mm"), values(reached, "rotation_error_deg")
-    by_residual = float(stats.spearmanr(residual, error).statistic)
-    return (
-        f"rank correlation of residual and rotation error {by_residual:+.2f}; residual "
-        f"{np.median(residual):.1f} mm, rotation error {np.median(error):.1f}° at the median, "
-        f"{np.percentile(error, 95):.1f}° at 95 %"
-    )
-
-
 def _of_inputs(rows: Sequence[Row]) -> list[Conclusion]:
-    first, second = (np.array([worst(row, stage) for row in rows]) for stage in ("input1", "input2"))
+    first, second = (worst_mm(rows, stage) for stage in ("input1", "input2"))
     under = [int(np.count_nonzero(errors < SUB_CENTIMETRE_MM)) for errors in (first, second)]
     return [
         Conclusion(

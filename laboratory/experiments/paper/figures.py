@@ -1,20 +1,17 @@
 """The paper's figures 5 to 9 from our measurements: one traced measurement, and all runs beside it."""
 
-import io
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from laboratory.campaigns.rows import Row
 from laboratory.experiments.paper.comparison import SUB_CENTIMETRE_MM, values
 from testbed.reporting.plots import AXIS_COLOURS, STYLE
+from vision_pc.core.se3 import Array
 
-Array = NDArray[np.float64]
 Trace = Mapping[str, Array]
 
 KINDS = {"fig5": "line", "fig6": "line", "fig7": "line", "fig8": "match", "fig9": "match"}
@@ -33,12 +30,6 @@ FIGURES = {
     "the second does; the depth keeps an offset.",
 }
 """What each figure shows in the paper, in words."""
-
-
-def load_trace(path: Path) -> Trace:
-    """The arrays of a traced measurement."""
-    with np.load(io.BytesIO(path.read_bytes())) as file:
-        return dict(file)
 
 
 def draw(name: str, traced: Trace, rows: Sequence[Row]) -> Figure:

@@ -1,21 +1,18 @@
 """What a measured run is seen with: markers by OpenCV alone, and where each error arises."""
 
-import io
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 
-from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT
-from testbed.lockstep.camera_side import Exposure
-from testbed.lockstep.simulated_measurements import LockstepFrames, Sight
+from protocol.errors import MeasurementFailed
+from testbed.lockstep.simulated_measurements import PixelFrames, Sight
 from testbed.lockstep.world import VISION_CLOCK_NS, World
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.calibration.line_equation import LineEquation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import orientation_error
 from vision_pc.core.odometry import StereoOdometry
@@ -30,165 +27,140 @@ from vision_pc.core.types import (
     FrameObservation,
     Image,
     Look,
-    OdometryPose,
     StereoPair,
     WatchSample,
 )
 
-
-class Traced(NamedTuple):
-    """What the range adjustment of a measurement found."""
-
-    line: LineEquation | None = None
-    match: LocalCalibration | None = None
+_LOOKS = 5
+_UNSEEN = ("measurement.tool_not_seen", "measurement.object_not_seen")
 
 
-class Input(NamedTuple):
-    """A reference that was given at ``time_ns``: its corners (n, 3) in B."""
+class RememberingEyes:
+    """Implements ``Eyes``; remembers ``looks`` and ``samples``, whatever program took them.
 
-    time_ns: int
-    corners: Array
+    A look that shows no tool or no object is taken again, up to ``_LOOKS`` times, and counted in
+    ``unseen``: the paper's inputs were given by hand (5.2.2), and nobody gives one on a failed sample.
+    ``path``: the samples of the last watch of a program. ``traces``: every watch looks at the markers too.
+    """
 
-
-class Tracer:
-    """Notes what arm and eyes are asked and what the camera saw meanwhile."""
-
-    def __init__(self) -> None:
+    def __init__(self, eyes: Eyes, *, traces: bool = False) -> None:
+        self._eyes, self._traces = eyes, traces
+        self.looks: list[Look] = []
         self.samples: list[WatchSample] = []
         self.path: tuple[WatchSample, ...] = ()
-        self.inputs: list[Input] = []
-        self.looks: list[Look] = []
-        self.result: Traced | None = None
+        self.unseen = 0
 
-    def over(self, arm: Arm, eyes: Eyes) -> tuple[Arm, Eyes]:
-        """Arm and eyes that do the same and tell this tracer."""
-        traced = _TracedEyes(eyes, self)
-        return _TracedArm(arm, traced, self), traced
+    async def look(self, frames: int | None = None) -> Look:
+        """A look of the eyes. Raises MeasurementFailed when none of them shows tool and object."""
+        for left in reversed(range(_LOOKS)):
+            try:
+                self.looks.append(await self._eyes.look(frames))
+                break
+            except MeasurementFailed as failed:
+                if failed.cause not in _UNSEEN or not left:
+                    raise
+                self.unseen += 1
+        return self.looks[-1]
 
-    def as_npz(self, world: World) -> bytes:
-        """Everything as arrays: times in s of the simulation, places in m, angles in degrees, NaN unseen."""
-        nothing = np.full(3, np.nan)
+    @asynccontextmanager
+    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watch]:
+        """A watch of the eyes."""
+        async with self._eyes.watch(markers=markers or self._traces, odometry=odometry) as watch:
+            yield watch
+        self.samples += watch.samples
+        self.path = watch.samples
 
-        def error(sample: WatchSample) -> Array:
-            if sample.X_CM is None or sample.X_CO is None:
-                return nothing
-            return sample.X_CO[:3, 3] - sample.X_CM[:3, 3]
 
-        def turn(sample: Any) -> Array:
-            return nothing if sample.X_CM is None or sample.X_CO is None else orientation_error(sample)
+class TracedArm:
+    """Implements ``Arm``: notes its ``inputs`` (time ns, corners (n, 3) in B), and watches every motion."""
 
-        held = [s for s in self.path if s.X_C0C is not None]
-        arrays: dict[str, Any] = {
-            "time_s": [_seconds(s.time_ns) for s in self.samples],
-            "p_BT": [s.X_BT[:3, 3] for s in self.samples],
-            "error_m": [error(s) for s in self.samples],
-            "turn_deg": [np.degrees(turn(s)) for s in self.samples],
-            "look_s": [_seconds(look.time_ns) for look in self.looks],
-            "look_error_m": [look.X_CO[:3, 3] - look.X_CM[:3, 3] for look in self.looks],
-            "look_turn_deg": [np.degrees(turn(look)) for look in self.looks],
-            "input_s": [_seconds(given.time_ns) for given in self.inputs],
-            "path_p_BT": [s.X_BT[:3, 3] for s in held or self.path],
-            "path_p_C0C": [s.X_C0C[:3, 3] for s in held if s.X_C0C is not None],
-            "true_s": [1e-9 * truth.time_ns for truth in world.truths[::5]],
-            "true_p_WT": [truth.X_WT[:3, 3] for truth in world.truths[::5]],
-        }
-        for number, given in enumerate(self.inputs):
-            arrays[f"corners_{number}"] = given.corners
-        if self.result is not None and self.result.match is not None:
-            arrays["R_BC"] = self.result.match.R_BC
-        file = io.BytesIO()
-        saved: dict[str, Any] = {name: np.asarray(value, dtype=float) for name, value in arrays.items()}
-        np.savez_compressed(file, **saved)
-        return file.getvalue()
+    def __init__(self, arm: Arm, eyes: RememberingEyes) -> None:
+        self._arm, self._eyes = arm, eyes
+        self.inputs: list[tuple[int, Array]] = []
+
+    async def view(self) -> ArmView:
+        """The arm's view."""
+        return await self._arm.view()
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        """A motion of the arm, watched."""
+        await self._note([X_BT_ref])
+        path = self._eyes.path
+        async with self._eyes.watch(markers=True, odometry=False):
+            arrived = await self._arm.move_to(X_BT_ref, duration_s)
+        self._eyes.path = path
+        return arrived
+
+    async def follow(
+        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
+    ) -> ArmView:
+        """A path of the arm."""
+        await self._note(waypoints)
+        return await self._arm.follow(waypoints, segment_s, dwell_s)
+
+    def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
+        """A stream of the arm."""
+        return self._arm.streaming()
+
+    async def stop(self) -> None:
+        """Stop the arm."""
+        await self._arm.stop()
+
+    async def _note(self, waypoints: Sequence[Array]) -> None:
+        view = await self._arm.view()
+        self.inputs.append((view.time_ns, np.array([X[:3, 3] for X in (view.X_BT, *waypoints)])))
+
+
+def traced_arrays(
+    arm: TracedArm, eyes: RememberingEyes, world: World, match: LocalCalibration | None
+) -> dict[str, Array]:
+    """Everything as arrays: times in s of the simulation, places in m, angles in degrees, NaN unseen."""
+    held = [s for s in eyes.path if s.X_C0C is not None]
+    arrays: dict[str, Any] = {
+        "time_s": [_seconds(s.time_ns) for s in eyes.samples],
+        "p_BT": [s.X_BT[:3, 3] for s in eyes.samples],
+        "error_m": [_error_m(s) for s in eyes.samples],
+        "turn_deg": [_turn_deg(s) for s in eyes.samples],
+        "look_s": [_seconds(look.time_ns) for look in eyes.looks],
+        "look_error_m": [_error_m(look) for look in eyes.looks],
+        "look_turn_deg": [_turn_deg(look) for look in eyes.looks],
+        "input_s": [_seconds(time_ns) for time_ns, _ in arm.inputs],
+        "path_p_BT": [s.X_BT[:3, 3] for s in held or eyes.path],
+        "path_p_C0C": [s.X_C0C[:3, 3] for s in held if s.X_C0C is not None],
+        "true_s": [1e-9 * truth.time_ns for truth in world.truths[::5]],
+        "true_p_WT": [truth.X_WT[:3, 3] for truth in world.truths[::5]],
+    }
+    arrays |= {f"corners_{number}": corners for number, (_, corners) in enumerate(arm.inputs)}
+    if match is not None:
+        arrays["R_BC"] = match.R_BC
+    return {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
+
+
+def _error_m(seen: Any) -> Array:
+    """From tool marker to object (3,), C axes, of a look or a sample."""
+    if seen.X_CM is None or seen.X_CO is None:
+        return np.full(3, np.nan)
+    error: Array = seen.X_CO[:3, 3] - seen.X_CM[:3, 3]
+    return error
+
+
+def _turn_deg(seen: Any) -> Array:
+    if seen.X_CM is None or seen.X_CO is None:
+        return np.full(3, np.nan)
+    return np.degrees(orientation_error(seen))
 
 
 def _seconds(vision_ns: int) -> float:
     return 1e-9 * (vision_ns - VISION_CLOCK_NS)
 
 
-class _TracedEyes:
-    """Implements ``Eyes``."""
-
-    def __init__(self, eyes: Eyes, tracer: Tracer) -> None:
-        self._eyes = eyes
-        self._tracer = tracer
-
-    async def look(self, frames: int | None = None) -> Look:
-        look = await self._eyes.look(frames)
-        self._tracer.looks.append(look)
-        return look
-
-    @asynccontextmanager
-    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watch]:
-        async with self._eyes.watch(markers=True, odometry=odometry) as watch:
-            yield watch
-        self._tracer.samples += watch.samples
-        self._tracer.path = watch.samples
-
-
-class _TracedArm:
-    """Implements ``Arm``: a motion that no program watches is watched for the tracer."""
-
-    def __init__(self, arm: Arm, eyes: _TracedEyes, tracer: Tracer) -> None:
-        self._arm = arm
-        self._eyes = eyes
-        self._tracer = tracer
-
-    async def view(self) -> ArmView:
-        return await self._arm.view()
-
-    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
-        view = await self._arm.view()
-        self._tracer.inputs.append(Input(view.time_ns, np.array([view.X_BT[:3, 3], X_BT_ref[:3, 3]])))
-        path = self._tracer.path
-        async with self._eyes.watch(markers=True, odometry=False):
-            arrived = await self._arm.move_to(X_BT_ref, duration_s)
-        self._tracer.path = path
-        return arrived
-
-    async def follow(
-        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
-    ) -> ArmView:
-        view = await self._arm.view()
-        corners = np.array([view.X_BT[:3, 3], *(X[:3, 3] for X in waypoints)])
-        self._tracer.inputs.append(Input(view.time_ns, corners))
-        return await self._arm.follow(waypoints, segment_s, dwell_s)
-
-    def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
-        return self._arm.streaming()
-
-    async def stop(self) -> None:
-        await self._arm.stop()
-
-
 _COVARIANCE = np.diag([0.005**2] * 3 + [0.02**2] * 3)  # the same for every pose: frames are averaged evenly
 _NO_BIAS = np.zeros((6, 6))
 
 
-class OpencvFrame(NamedTuple):
-    """A ``CameraFrame`` whose left picture is rendered at once, its right one when odometry asks for it."""
-
-    left: Image
-    right: Callable[[], Image]
-    capture_ns: int
-    frame_id: int
-
-
-class OpencvFrames(LockstepFrames[OpencvFrame]):
-    """The left eye's pictures."""
-
-    def exposed(self, exposure: Exposure) -> None:
-        """Render and publish the left picture of ``exposure``."""
-        shot, renderer = exposure.shot, self._world.camera.renderer
-        if shot.delivered:
-            left = renderer.take_eye(LEFT, shot)
-            right = partial(renderer.take_eye, RIGHT, shot)
-            self.publish(OpencvFrame(left, right, shot.capture_ns + VISION_CLOCK_NS, shot.frame_id))
-
-
 def opencv_sight(world: World) -> Sight:
     """The paper's eyes on ``world``."""
-    return Sight(OpencvFrames(world), OpencvSensor(world.settings.vision))
+    return Sight(PixelFrames(world), OpencvSensor(world.settings.vision))
 
 
 class OpencvSensor:
@@ -199,7 +171,7 @@ class OpencvSensor:
         self._config = config
         self._around: Array | None = None  # corners (n, 2) of the last picture that showed every marker
 
-    def observe(self, frame: OpencvFrame, _previous: FrameObservation | None) -> FrameObservation:
+    def observe(self, frame: StereoPair, _previous: FrameObservation | None) -> FrameObservation:
         """Tool and object from the left picture: each marker by itself, the object's markers averaged."""
         settings = self._config.markers
         poses = self._poses(frame, settings)
@@ -220,15 +192,15 @@ class OpencvSensor:
             offset=None,
         )
 
-    def odometry(self, previous: FrameObservation | None) -> "OpencvOdometry":
+    def odometry(self, previous: FrameObservation | None) -> StereoOdometry:
         """Vision's own odometry; these markers tell of no offset."""
-        return OpencvOdometry(self._pixels.own_odometry(previous))
+        return self._pixels.own_odometry(previous)
 
     def errors(self, _samples: Sequence[WatchSample]) -> CameraErrors | None:
         """These markers tell nothing of the camera."""
         return None
 
-    def _poses(self, frame: OpencvFrame, settings: MarkerSettings) -> dict[int, Array]:
+    def _poses(self, frame: StereoPair, settings: MarkerSettings) -> dict[int, Array]:
         """X_CA of every known marker that OpenCV finds."""
         found = self._marker_corners(frame, settings)
         self._around = np.concatenate(list(found.values())) if len(found) == len(settings.sizes) else None
@@ -239,7 +211,7 @@ class OpencvSensor:
             poses[number] = se3.transform(se3.exp_so3(turn.ravel()), place.ravel())
         return poses
 
-    def _marker_corners(self, frame: OpencvFrame, settings: MarkerSettings) -> dict[int, Array]:
+    def _marker_corners(self, frame: StereoPair, settings: MarkerSettings) -> dict[int, Array]:
         """Corners (4, 2) px of known markers: around where all were last, anywhere if not all are there."""
         if self._around is not None:
             low = np.maximum(self._around.min(axis=0).astype(int) - settings.region_margin_px, 0)
@@ -248,25 +220,6 @@ class OpencvSensor:
             if len(corners) == len(settings.sizes):
                 return {number: quad + low for number, quad in corners.items()}
         return _detect_markers(frame.left, settings)
-
-
-class OpencvOdometry:
-    """Vision's odometry over frames whose right picture is still to be rendered."""
-
-    def __init__(self, odometry: StereoOdometry) -> None:
-        self._odometry = odometry
-
-    @property
-    def last_loss(self) -> str | None:
-        """Why the last frame was lost, None if it was not."""
-        return self._odometry.last_loss
-
-    def process(
-        self, frame: OpencvFrame, X_CM: Array | None = None, X_BT: Array | None = None
-    ) -> OdometryPose | None:
-        """The camera's pose at ``frame``, None when it is lost."""
-        pair = StereoPair(frame.left, frame.right(), frame.capture_ns, frame.frame_id)
-        return self._odometry.process(pair, X_CM, X_BT)
 
 
 def _detect_markers(image: Image, settings: MarkerSettings) -> dict[int, Array]:

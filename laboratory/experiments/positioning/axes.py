@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from plant_emulator.config.valves import JOINT_NAMES
+from plant_emulator.core.layout import EDGES
 from testbed.scenarios.scenario import Settings
 
 JSON = dict[str, Any]
@@ -68,9 +69,6 @@ def mobile_valves(rng: np.random.Generator, usual: Settings) -> JSON:
             },
         }
     return {"plant": {"valve_set": "mobile", "valves": {"joints": drawn}}}
-
-
-EDGES = ("supply_a", "return_b", "supply_b", "return_a")
 
 
 @axis(
@@ -140,15 +138,6 @@ def play(rng: np.random.Generator, _usual: Settings) -> JSON:
     return {"plant": {"errors": {"backlash": {"half_width_mrad": rng.uniform(narrow, wide).tolist()}}}}
 
 
-@axis(
-    "slew 0.5, lift and tilt 0.25, wrist 0.5 mrad half; not drawn", "[S] the study's 0.5 mrad of joint ripple"
-)
-def wide_play(_rng: np.random.Generator, _usual: Settings) -> JSON:
-    """The harder world's play."""
-    play = {"half_width_mrad": [0.5, 0.25, 0.25, 0.5, 0.5, 0.5]}
-    return {"plant": {"errors": {"backlash": play}}}
-
-
 @axis("0 to 0.3 m off the tool's axis", "[E] a drill or a gripper hangs beside the wrist")
 def payload_off_axis(rng: np.random.Generator, _usual: Settings) -> JSON:
     """Where the payload's centre is."""
@@ -181,6 +170,13 @@ def oil(rng: np.random.Generator, usual: Settings) -> JSON:
         "bulk_modulus_mpa": usual.plant.oil.bulk_modulus_mpa * rng.uniform(0.7, 1.0),
     }
     return {"plant": {"oil": drawn}}
+
+
+@axis("time constant ×0.67 to 1.5", "[E] wind, paint, how much steel there is to a litre")
+def cooling_oil(rng: np.random.Generator, usual: Settings) -> JSON:
+    """Oil that shrinks behind shut valves as it cools to the air around."""
+    time_s = usual.plant.errors.cooling_oil.time_constant_s * factor(rng, 1.5)
+    return {"plant": {"errors": {"cooling_oil": {"enabled": True, "time_constant_s": time_s}}}}
 
 
 @axis("±3 %", "[E] a gauge of class 1.6 and its zero")

@@ -37,12 +37,6 @@ def principal_point(rng: np.random.Generator, usual: Settings) -> JSON:
     return {"scene": {"camera": {"lens": drawn}}}
 
 
-@axis("noise 4 grey levels, the wall's contrast 12; not drawn", "[E] poor light, a smooth wall")
-def poor_light(_rng: np.random.Generator, _usual: Settings) -> JSON:
-    """Pictures in which odometry drifts."""
-    return {"scene": {"camera": {"noise_grey": 4.0}, "wall": {"contrast_grey": 12.0}}}
-
-
 @axis(
     "noise 2 to 5 grey levels, blur 0.5 to 1.0 px, exposure ×0.6 to 1.6, contrast 10 to 25",
     "[E] of a ZED 2 in a hall and outdoors",

@@ -12,37 +12,45 @@ from nominal_arm.commissioned import Commissioned
 from nominal_arm.description import JOINT_NAMES
 from protocol.errors import MeasurementFailed
 from testbed.commissioning.findings import commissioned_from, joint_findings
-from testbed.commissioning.recording import JointRecording
+from testbed.commissioning.recording import JointRecording, recording_of
 from testbed.commissioning.runs import excite_in_lockstep, with_excitation
 from testbed.lockstep.clock import RunLog
-from testbed.lockstep.simulated_measurements import EyeCondition, eyes_with, load_eye_model, simulated_sight
 from testbed.lockstep.world import World
-from testbed.scenarios.scenario import load_settings
+from testbed.scenarios.scenario import Settings, load_settings
 
 _EMPTY = {"plant": {"payload": {"mass_kg": 0.0}}}  # the servo is off meanwhile: a loaded wrist would sink
+
+
+def excited(settings: Settings, joints: Sequence[int], seed: int) -> tuple[list[JointRecording], float]:
+    """What was recorded of the trials of ``joints``, and the arm's time for them, s.
+
+    Raises MeasurementFailed with the cause that broke them off.
+    """
+    world, recordings = World(with_excitation(settings, joints), seed, RunLog()), list[JointRecording]()
+    arm_s, trouble = excite_in_lockstep(
+        world,
+        lambda *trial: recordings.append(recording_of(settings.arm, *trial)),
+        lambda _progress, _note: None,
+    )
+    if trouble is not None:
+        name = JOINT_NAMES[trouble.joint]
+        raise MeasurementFailed(trouble.cause, f"{name}: {trouble.value:.4g}, limit {trouble.limit:.4g}")
+    return recordings, arm_s
 
 
 def own_commissioning(
     config_dir: Path,
     asked: dict[str, Any],
     seed: int,
-    condition: EyeCondition,
     joints: Sequence[int] = range(N_JOINTS),
 ) -> Commissioned:
     """The file that the machine of the overrides ``asked`` makes of itself, its tool empty.
 
-    ``condition``: of the eyes that watch for backlash. Raises MeasurementFailed with the cause that broke the
-    trials off, or for which a joint's numbers are refused: as for a user, there is no file then.
+    Raises MeasurementFailed with the cause that broke the trials off, or for which a joint's numbers are
+    refused: as for a user, there is no file then.
     """
     settings = load_settings(config_dir, merged(asked, _EMPTY))
-    world = World(with_excitation(settings, joints), seed, RunLog())
-    eyes = eyes_with(world, simulated_sight(world, load_eye_model(config_dir, condition), seed))
-    recordings: list[JointRecording] = []
-    ended = excite_in_lockstep(world, recordings.append, lambda _progress, _note: None, eyes)
-    if ended.trouble is not None:
-        trouble = ended.trouble
-        name = JOINT_NAMES[trouble.joint]
-        raise MeasurementFailed(trouble.cause, f"{name}: {trouble.value:.4g}, limit {trouble.limit:.4g}")
+    recordings, _ = excited(settings, joints, seed)
     compensated = settings.controller.valves.pressure_compensated
     found = {one.joint: joint_findings(one, compensated) for one in recordings}
     made = datetime.now(UTC).isoformat(timespec="seconds"), f"longreach {version('longreach')}, drawn machine"

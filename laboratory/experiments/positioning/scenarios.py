@@ -6,7 +6,7 @@ object, and when the arm reaches the goal with room to spare. Everything else is
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from foundation.configuration import merged
+from laboratory.experiments.positioning.axes import JSON
 from laboratory.experiments.positioning.worlds import ARMS, DrawnWorld, drawn
 from nominal_arm.description import NominalArm
 from plant_emulator.config.scene import SceneConfig
@@ -31,7 +32,6 @@ _JOINT_MARGIN = math.radians(4.0)  # the path's legs and the controller's own ma
 _WRIST_BENT = math.radians(6.0)  # the controller refuses a wrist that is stretched: singular below 2.9°
 _CLEARANCE_M = 0.1
 _RIM_PX = 12.0
-JSON = dict[str, Any]
 
 
 class Drawn(NamedTuple):

@@ -1,20 +1,19 @@
 """Drawn machines with a drawn motion each, and how they come to its end: controller and plant alone."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 from zlib import crc32
 
 import numpy as np
 import typer
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from controller.core.servo.servo_step import resolve, tool_state
 from controller.core.settings import settings_from
 from foundation.configuration import merged, parse_overrides
 from laboratory.experiments.positioning import axes
-from laboratory.experiments.positioning.axes import Axis
+from laboratory.experiments.positioning.axes import JSON, Axis
 from laboratory.experiments.positioning.corrected_run import commissioned
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from plant_emulator.core.plant import Plant
@@ -23,7 +22,6 @@ from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
 from testbed.lockstep.clock import ClosedLoop
-from testbed.reporting.console import table
 from testbed.scenarios.arms import arm_overrides
 from testbed.scenarios.scenario import Settings, load_settings
 
@@ -31,28 +29,19 @@ _STREAM = 0x72657374
 _FURTHEST_M, _NEAREST_M, _TURN_DEG = 0.3, 0.03, 8.0
 _TARGETS = 20
 _MOST_KG = 100.0
-VALVE_SETS = ("mobile",)
+VALVE_SETS = ("servo", "mobile")
 REAL = "real"  # mobile valves, and all else that the real worlds draw of a machine
 WORLD = "drawn targets within 0.3 m, 0 to 100 kg, friction ×0.6 to 1.7; mobile valves drawn"
+_WARM_DEGC = 50.0  # [E] oil of an arm that has worked, in the air of plant.yaml
 _OF_A_MACHINE: Mapping[str, tuple[Axis, ...]] = {
+    "servo": (axes.friction,),
     "mobile": (axes.friction, axes.mobile_valves),
     REAL: tuple(axis for axis in WORLDS[WorldName.REAL].axes if getattr(axes, axis.name, None) is axis),
 }
 
 MachineKinds = Annotated[
-    str, typer.Option("--machines", help="mobile (valves), real (all of a machine), by commas.")
+    str, typer.Option("--machines", help="servo, mobile (valves), real (all of a machine), by commas.")
 ]
-
-JSON = dict[str, Any]
-
-
-class MachineKind(NamedTuple):
-    """What rows of this package tell of a machine: ``arm``, set of ``valves``, ``law`` at rest, its load."""
-
-    arm: str
-    valves: str
-    law: str
-    mass_kg: float
 
 
 class DrawnMachine(NamedTuple):
@@ -64,22 +53,22 @@ class DrawnMachine(NamedTuple):
 
 
 def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
-    """The machine of a task: ``seed``, ``arm``, ``valves``, ``parks``.
+    """The machine of a task: ``seed``, ``arm``, ``valves``, ``cooling``.
 
-    Mobile valves are drawn about plant.yaml's and stated as commissioned.
+    Mobile valves are drawn about plant.yaml's; all are stated as commissioned.
     ``real``: mobile valves, and whatever else the real worlds draw of a machine, camera and wall apart.
     """
     rng = np.random.default_rng([task["seed"], _STREAM])
     overrides = arm_overrides(config_dir, task["arm"])
     usual = load_settings(config_dir, overrides)
     mass_kg = rng.uniform(0.0, _MOST_KG)
-    own: JSON = {
-        "plant": {"payload": {"mass_kg": mass_kg}},
-        "controller": {"parking": {"enabled": task["parks"]}},
-    }
+    own: JSON = {"plant": {"payload": {"mass_kg": mass_kg}}}
     real = task["valves"] == REAL
     for axis in _OF_A_MACHINE[task["valves"]]:
         own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
+    if task.get("cooling"):
+        cools = {"errors": {"cooling_oil": {"enabled": True}}, "oil": {"temperature_degc": _WARM_DEGC}}
+        own = merged(own, {"plant": cools})
     asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
     settings = load_settings(config_dir, asked)
     settings = commissioned(config_dir, asked, settings, task["seed"])
@@ -132,7 +121,7 @@ def stepped(loop: ClosedLoop) -> None:
 def left(loop: ClosedLoop) -> np.ndarray:
     """What is left to the desired pose, by the encoders: joint-equivalent error (6,), rad."""
     tool = tool_state(loop.settings.table, np.array(loop.view.q_meas))
-    return np.array(resolve(tool, loop.state.motion.desired, loop.settings.servo.gains).q_error)
+    return np.array(resolve(tool, loop.state.motion.desired, loop.settings.servo.gains, np.zeros(6)).q_error)
 
 
 def machines(runs: int, first: int, kinds: str) -> Iterator[JSON]:
@@ -146,9 +135,3 @@ def machines(runs: int, first: int, kinds: str) -> Iterator[JSON]:
             raise typer.BadParameter(f"no machines '{name}'; known: {', '.join(_OF_A_MACHINE)}")
     for k in range(runs):
         yield {"seed": first + k, "arm": ARMS[k // len(sets) % 2], "valves": sets[k % len(sets)]}
-
-
-def broken_off(rows: Sequence[Any]) -> list[Table]:
-    """A table of the ``rows`` that failed, with their machines and why; none when none did."""
-    failed = [(row.seed, *row.machine[:2], row.failure[:90]) for row in rows if row.failure]
-    return [table("broken off", ("seed", "arm", "valves", "why"), failed)] if failed else []

@@ -110,7 +110,7 @@ class Drift:
         return float(drift[0]), float(drift[1])
 
 
-_DROP_STREAM, _FREEZE_STREAM, _STAMP_STREAM = 0x64726F70, 0x667265657A65, 0x7374616D70
+_DROP_STREAM, _STAMP_STREAM = 0x64726F70, 0x7374616D70
 _WORST_JITTER = 3.0  # standard deviations
 FaultT = TypeVar("FaultT", bound=BaseFault)
 
@@ -147,15 +147,10 @@ class Exposures:
     def shot(self, capture: Capture, faults: Sequence[AnyFault]) -> Shot:
         """The frame that the camera sends at ``capture`` under the plant's ``faults`` in force."""
         dropping = _latest(faults, FramesDropped)
-        lost = max(self._config.dropped_frame_share, dropping.share if dropping else 0.0)
-        delivered = not self._falls_on(_DROP_STREAM, capture.frame_id, lost)
+        delivered = dropping is None or not self._is_lost(capture.frame_id, dropping.share)
         capture = capture._replace(drift_px=self._drift.at(capture.capture_ns))
         stamp_ns = self._stamp(capture)
         frozen = _latest(faults, CameraFrozen)
-        if frozen is None and self._falls_on(
-            _FREEZE_STREAM, capture.frame_id, self._config.frozen_frame_share
-        ):
-            frozen = CameraFrozen()
         if frozen is None or self._last is None:
             covers = tuple(fault for fault in faults if isinstance(fault, MarkerCovered))
             blind = _latest(faults, CameraBlind)
@@ -177,9 +172,9 @@ class Exposures:
             error_ms += stamps.jitter_ms * min(max(draw, -_WORST_JITTER), _WORST_JITTER)
         return max(capture.capture_ns + round(1e6 * error_ms), 0)
 
-    def _falls_on(self, stream: int, frame_id: int, share: float) -> bool:
-        """Whether the lot falls on this frame."""
-        return share > 0.0 and np.random.default_rng((self._seed, stream, frame_id)).random() < share
+    def _is_lost(self, frame_id: int, share: float) -> bool:
+        """Whether this frame is among the ``share`` that never arrives."""
+        return bool(np.random.default_rng((self._seed, _DROP_STREAM, frame_id)).random() < share)
 
 
 def _latest(faults: Sequence[AnyFault], kind: type[FaultT]) -> FaultT | None:

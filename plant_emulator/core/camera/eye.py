@@ -16,7 +16,7 @@ from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray
 from plant_emulator.core.camera.rays import Lens
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.surroundings import NO_GLARE, glare_on, shadow_on
-from plant_emulator.core.camera.wall import bores, gloss, wall_painter
+from plant_emulator.core.camera.wall import bores, wall_painter
 from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 
@@ -114,21 +114,21 @@ class Eye:
         self._scene = scene
         self._texture = texture
 
-    def painted(self, capture: Capture, offset_s: float = 0.0, covers: Sequence[Cover] = ()) -> Grey:
-        """What the eye sees ``offset_s`` after the capture's instant, without point spread and noise.
+    def painted(self, capture: Capture, covers: Sequence[Cover] = ()) -> Grey:
+        """What the eye sees, without point spread and noise.
 
         ``covers`` lie over whatever else is on the wall, or on the tool.
         """
         width, height = self._size
         picture = np.empty((height, width), dtype=np.uint8)
         # at the first and the last row; one for all rows when they are exposed at once
-        views = [capture.view_at(offset_s + end_s) for end_s in self._ends_s]
+        views = [capture.view_at(end_s) for end_s in self._ends_s]
         X_CE = self.true.pose(capture.drift_px)
         X_EWs = np.stack([np.linalg.inv(view.X_WC @ X_CE) for view in views])
         X_EOs = X_EWs @ self._scene.mounts.X_WO
         X_EMs = np.stack([X_EW @ view.X_WM for X_EW, view in zip(X_EWs, views, strict=True)])
-        time_s = 1e-9 * capture.capture_ns + offset_s
-        edge_m = self._edge_m(views[0].X_WC, time_s)
+        time_s = 1e-9 * capture.capture_ns
+        edge_m = self._scene.config.lighting.shadow.edge_m(time_s)
         self._paint_wall(picture, X_EOs, edge_m)
         for group in (self._on_wall, self._sheets(_of("O", covers))):
             X_OPs = self._slid(group.poses, capture.view.X_WO)
@@ -146,7 +146,7 @@ class Eye:
     @cached_property
     def _bores(self) -> tuple[bores.Bore, ...]:
         wall = self._scene.config.wall
-        return tuple(bores.bore(hole, wall) for hole in wall.drill_holes if hole.depth_m > 0.0)
+        return tuple(bores.bore(hole, wall) for hole in wall.drill_holes)
 
     @cached_property
     def _on_wall(self) -> Sheets:
@@ -169,11 +169,6 @@ class Eye:
 
     def _sheets(self, plates: tuple[Plate, ...]) -> Sheets:
         return sheets(plates, self._scene.config.wall.lighting_gradient_per_m)
-
-    def _edge_m(self, X_WC: Matrix, time_s: float) -> float:
-        """Where the shade's edge is, seen by either eye of the camera at ``X_WC`` (4, 4)."""
-        X_OC = np.linalg.inv(self._scene.mounts.X_WO) @ X_WC
-        return self._scene.config.lighting.shadow.edge_m(time_s, (float(X_OC[0, 3]), float(X_OC[1, 3])))
 
     def _paint_wall(self, picture: Grey, X_EOs: Matrix, edge_m: float) -> None:
         wall = self._scene.config.wall
@@ -205,9 +200,6 @@ class Eye:
             relief,
             _SKY_GREY,
         )
-        if any(patch.gloss_grey for patch in wall.bare_patches):
-            seen, lamp = self._view(X_EOs, edge_m), self._scene.config.lighting.glare
-            gloss.shine(picture, self._rays, wall.bare_patches, lamp, seen, X_EOs[0], self.lens)
         if self._bores:
             bores.cut(picture, self._rays, self._bores, self._view(X_EOs, edge_m), X_EOs[0], self.lens)
 

@@ -27,6 +27,14 @@ _ASIDE = 1.05  # of the widest rays: farther aside nothing is seen, not even a r
 _ALONG = 8  # points on each side of a plate, where the lens bends straight lines
 
 
+WHITE_GREY, _BLACK_GREY = 208.0, 22.0  # [E] of print on paper
+
+
+def printed_greys(white: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The grey of each cell of a print."""
+    return np.where(white, WHITE_GREY, _BLACK_GREY).astype(np.float32)
+
+
 class Bend(NamedTuple):
     """A cylindrical bend: z = ``curve`` (1/m) times the square of the way along (``across``, ``up``)."""
 
@@ -78,17 +86,6 @@ def grid_plate(X_parent_plate: Matrix, cell_m: float, grey: NDArray[np.float32],
     """A plate of square cells of ``cell_m``, its middle at the origin of its pose."""
     edges_y, edges_x = (np.arange(count + 1) * cell_m - 0.5 * count * cell_m for count in grey.shape)
     return Plate(X_parent_plate, edges_x, edges_y, grey, lit_by_wall)
-
-
-def picture_plate(X_parent_plate: Matrix, texel_m: float, picture: Grey, lit_by_wall: bool) -> Plate:
-    """A plate that shows ``picture`` with texels of ``texel_m``, its middle at the origin of its pose."""
-    half_y, half_x = (0.5 * texel_m * count for count in picture.shape)
-    count, sides = 1, picture.shape
-    while min(sides) >= 2 * _COARSEST_TEXELS and not any(side % 2 for side in sides):
-        count, sides = count + 1, (sides[0] // 2, sides[1] // 2)
-    plain = np.zeros((1, 1), dtype=np.float32)
-    edges_x, edges_y = np.array([-half_x, half_x]), np.array([-half_y, half_y])
-    return Plate(X_parent_plate, edges_x, edges_y, plain, lit_by_wall, halved(picture, count))
 
 
 def halved(picture: Grey, count: int) -> tuple[Pairs, ...]:

@@ -258,20 +258,6 @@ def share_below(distance: float, long: float, short: float) -> float:
     return 0.5 + distance / long
 
 
-@kernel(nogil=True)
-def mean_of(pictures: Grey) -> Grey:
-    """Rounded mean (height, width) of pictures (n, height, width): one exposure made of moments."""
-    count, height, width = pictures.shape
-    result = np.empty((height, width), dtype=np.uint8)
-    for i in range(height):
-        for j in range(width):
-            total = count // 2
-            for k in range(count):
-                total += pictures[k, i, j]
-            result[i, j] = np.uint8(total // count)
-    return result
-
-
 @kernel(fastmath=True, nogil=True)
 def finish(
     picture: Grey,

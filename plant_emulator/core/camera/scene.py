@@ -17,16 +17,14 @@ from plant_emulator.config.scene import (
     WallMarkerConfig,
 )
 from plant_emulator.config.surroundings import PasserConfig
-from plant_emulator.core.camera.cabinet import board_plates
-from plant_emulator.core.camera.plates import Bend, plain_plate
+from plant_emulator.core.camera.boards import board_plates
+from plant_emulator.core.camera.plates import Bend, plain_plate, printed_greys
 from plant_emulator.core.camera.plates import Plate as Plate
 from plant_emulator.core.camera.surroundings import (
     block_outline,
     block_plates,
-    cable_plates,
     front_of,
     passer_plate,
-    rebar_plates,
 )
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -104,8 +102,9 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
         bits = np.pad(bits, _QUIET_CELLS, constant_values=True)
         outer = printed_side(config) / 2.0 + config.quiet_zone_m
         edges = np.concatenate([[-outer], edges, [outer]])
-    grey = np.where(bits, config.white_grey, config.black_grey).astype(np.float32)
-    return Plate(X_parent_plate, edges, edges, grey, lit_by_wall, bend=marker_bend(config), glossy=True)
+    return Plate(
+        X_parent_plate, edges, edges, printed_greys(bits), lit_by_wall, bend=marker_bend(config), glossy=True
+    )
 
 
 class Cover(NamedTuple):
@@ -164,13 +163,8 @@ class Scene:
             marker.marker_id: ("O", plate)
             for marker, plate in zip(config.object_of_interest.markers, self._wall_markers, strict=True)
         }
-        self.standing = (
-            *(plate for block in config.wall.blocks for plate in block_outline(block)),
-            *(bar for mat in config.rebar for bar in rebar_plates(mat)),
-            *(piece for cable in config.cables for piece in cable_plates(cable)),
-            *self._obstacles("wall"),
-        )
-        self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
+        self.standing = tuple(plate for block in config.wall.blocks for plate in block_outline(block))
+        self.tool_plates = (self._bracket(), tool_marker)
 
     @property
     def shaded(self) -> bool:
@@ -186,10 +180,7 @@ class Scene:
         return (
             *self._wall_markers,
             *(plate for block in blocks for plate in block_plates(block, config.wall)),
-            *(plate for mat in config.rebar for plate in rebar_plates(mat)),
-            *(plate for cable in config.cables for plate in cable_plates(cable)),
             *(plate for board in config.boards for plate in board_plates(board)),
-            *self._obstacles("wall"),
         )
 
     @cached_property
@@ -222,21 +213,9 @@ class Scene:
         parent, plate = self._marker_plates[fault.marker_id]
         return Cover(parent, cover_over(plate, fault))
 
-    def _obstacles(self, parent: str) -> tuple[Plate, ...]:
-        return tuple(
-            plain_plate(
-                transform(rotation_matrix(obstacle.rotation_deg), np.array(obstacle.centre_m)),
-                (-obstacle.size_m[0] / 2.0, obstacle.size_m[0] / 2.0),
-                (-obstacle.size_m[1] / 2.0, obstacle.size_m[1] / 2.0),
-                obstacle.grey,
-            )
-            for obstacle in self.config.obstacles
-            if obstacle.parent == parent
-        )
-
-    def _bracket(self) -> tuple[Plate, ...]:
+    def _bracket(self) -> Plate:
         tool = self.config.tool_marker
         top = printed_side(tool) / 2.0 + tool.quiet_zone_m
         half = _BRACKET_WIDTH_M / 2.0
         reach = (top, top + _BRACKET_LENGTH_M)
-        return (plain_plate(np.eye(4), (-half, half), reach, _BRACKET_GREY),)
+        return plain_plate(np.eye(4), (-half, half), reach, _BRACKET_GREY)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from plant_emulator.core.camera import rasteriser
 from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, Capture, Shot
 from plant_emulator.core.camera.eye import Eye, true_eyes
 from plant_emulator.core.camera.scene import Cover, Scene
-from plant_emulator.core.camera.wall.wall_texture import Texture, drilled, packed_levels, wall_texture
+from plant_emulator.core.camera.wall.wall_texture import Texture, bared, packed_levels, wall_texture
 
 Grey = NDArray[np.uint8]
 
@@ -26,6 +25,7 @@ Noise = NDArray[np.int16]
 
 _NAMES = ("left", "right")
 _WHITE = 255
+_LEAST_GAIN, MOST_GAIN = 0.25, 8.0  # [E]
 
 
 class AutoExposure:
@@ -48,7 +48,7 @@ class AutoExposure:
         if not config.enabled or capture_ns == self._time_ns:
             return self._gain
         target_gain = config.mean_grey / max(brightness * float(picture.mean()), 1.0)
-        target_gain = min(max(target_gain, config.least_gain), config.most_gain)
+        target_gain = min(max(target_gain, _LEAST_GAIN), MOST_GAIN)
         if self._time_ns is None or capture_ns < self._time_ns:
             self._gain = target_gain  # it has been running since long before
         else:
@@ -79,8 +79,7 @@ class Imager:
         height, width = picture.shape
         passed, added = self._dirt or (np.ones((1, 1), np.float32), np.zeros((1, 1), np.float32))
         passed, added = (np.broadcast_to(part, (height, width)) for part in (passed, added))
-        line = _Line(np.empty(width, np.float32), np.empty(width, np.int32))
-        _expose(picture, passed, added, gain, self._falloff, self._centre, self._response, line)
+        _expose(picture, passed, added, gain, self._falloff, self._centre, self._response)
         self.sense(picture, key, 1.0, 0.0)
 
     def sense(self, picture: Grey, key: int, gain: float, falloff: float) -> None:
@@ -104,13 +103,6 @@ def _dirt(config: CameraConfig, eye: str) -> tuple[Real32, Real32] | None:
     return passed.astype(np.float32), added.astype(np.float32)
 
 
-class _Line(NamedTuple):
-    """Room for one row: the light on the sensor, and the whole part of it."""
-
-    light: Real32
-    level: NDArray[np.int32]
-
-
 @kernel(nogil=True)
 def _expose(
     picture: Grey,
@@ -120,24 +112,17 @@ def _expose(
     falloff: float,
     centre: tuple[float, float],
     response: Real32,
-    line: _Line,
 ) -> None:
-    """Dirt, vignetting, gain, saturation and response curve, in place.
-
-    In two loops a row, because compilers vectorise the first and leave only the look-up scalar.
-    """
+    """Dirt, vignetting, gain, saturation and response curve, in place."""
     black, white, half = np.float32(0.0), np.float32(_WHITE), np.float32(0.5)
-    light, level = line
     for i in range(picture.shape[0]):
         row, passes, adds, vertical = picture[i], passed[i], added[i], (i - centre[1]) ** 2
         for j in range(row.shape[0]):
             r2 = (j - centre[0]) ** 2 + vertical
             falls = (row[j] * passes[j] + adds[j]) * np.float32(gain * (1.0 - falloff * r2))
-            light[j] = min(max(falls, black), white)
-            level[j] = np.int32(light[j])
-        for j in range(row.shape[0]):
-            k = np.intp(level[j])
-            part = light[j] - np.float32(k)
+            light = np.float32(min(max(falls, black), white))
+            k = np.intp(light)
+            part = light - np.float32(k)
             row[j] = np.uint8(np.int32(response[k] + (response[k + 1] - response[k]) * part + half))
 
 
@@ -152,7 +137,7 @@ class StereoCamera:
     with auto exposure for the sequence of pictures.
 
     Poses are 4x4: ``X_WC`` of the left eye and ``X_WM`` of the tool marker in the world W, OpenCV axes for
-    the camera. ``motion`` matters only with motion blur or a rolling shutter; the poses are those at the
+    the camera. ``motion`` matters only with a rolling shutter; the poses are those at the
     middle of the exposure of the middle row.
     """
 
@@ -209,17 +194,7 @@ class StereoCamera:
 
     def _captured(self, eye: int, capture: Capture, covers: Sequence[Cover] = ()) -> Grey:
         """One eye's picture of a capture."""
-        samples, exposure_s = self.config.motion_blur_samples, 1e-6 * self.config.exposure_us
-        pictures = [
-            self.eyes[eye].painted(capture, exposure_s * ((k + 0.5) / samples - 0.5), covers)
-            for k in range(samples)
-        ]
-        picture = pictures[0] if samples == 1 else rasteriser.mean_of(np.stack(pictures))
-        return self._exposed(picture, eye, capture)
-
-    def _exposed(self, picture: Grey, eye: int, capture: Capture) -> Grey:
-        """The picture after point spread, exposure, dirt, vignetting and noise."""
-        config = self.config
+        picture, config = self.eyes[eye].painted(capture, covers), self.config
         if config.blur_px > 0.0:
             size = 2 * int(np.ceil(2.5 * config.blur_px)) + 1
             cv2.GaussianBlur(picture, (size, size), config.blur_px, dst=picture)
@@ -241,12 +216,11 @@ class StereoCamera:
 def _without_bodies(wall: WallConfig) -> WallConfig:
     """What of a wall its texture shows: light, relief and what stands before it are not in it."""
     plain = {"lighting_gradient_per_m": (0.0, 0.0), "undulation_mm": 0.0, "undulation_length_m": 1.0}
-    paint = tuple(hole for hole in wall.drill_holes if hole.depth_m == 0.0)
-    return wall.model_copy(update=plain | {"drill_holes": paint, "blocks": ()})
+    return wall.model_copy(update=plain | {"drill_holes": (), "blocks": ()})
 
 
 @lru_cache(maxsize=1)
 def _texture(wall: WallConfig) -> Texture:
     """Packed mip levels, kept for the next camera before the same wall: they cost most of a second."""
     plain = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)
-    return packed_levels(drilled(plain, wall))
+    return packed_levels(bared(plain, wall))

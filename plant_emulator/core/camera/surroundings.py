@@ -1,6 +1,5 @@
-"""What stands or passes before the wall as plates: blocks, rebar, cables, passers."""
+"""What stands or passes before the wall as plates: blocks, passers."""
 
-import itertools
 import math
 
 import cv2
@@ -10,9 +9,7 @@ from numpy.typing import NDArray
 from plant_emulator.config.camera import GlareConfig, ShadowConfig
 from plant_emulator.config.surroundings import (
     BlockConfig,
-    CableConfig,
     PasserConfig,
-    RebarConfig,
     WallConfig,
 )
 from plant_emulator.core.camera.plates import Plate, halved, plain_plate
@@ -58,7 +55,6 @@ Matrix = NDArray[np.float64]
 _TEXEL_M = 0.002
 _MULTIPLE = 64  # texels: of this both sides of a picture are multiples, and its largest clouds so wide
 _LEVELS = 4  # always as many: the painter is compiled for their number
-_PIECES = 16  # of a cable
 _SIDE_LIGHT = 0.5  # of a block's sides, as a share of the wall's mean
 
 
@@ -104,39 +100,10 @@ def block_plates(block: BlockConfig, wall: WallConfig) -> tuple[Plate, ...]:
     return *sides, _covered(face, picture, lit_by_wall=True)
 
 
-def rebar_plates(mat: RebarConfig) -> tuple[Plate, ...]:
-    """Every bar of a mat, the upright ones over the level ones."""
-    X_OP = transform(np.eye(3), np.array([*mat.centre_m, mat.standoff_m]))
-    width, height = (0.5 * side for side in mat.size_m)
-    radius = 0.5 * mat.diameter_m
-    level = [(-width, width, y - radius, y + radius) for y in _spaced(height, mat.spacing_m)]
-    upright = [(x - radius, x + radius, -height, height) for x in _spaced(width, mat.spacing_m)]
-    return tuple(plain_plate(X_OP, (a, b), (c, d), mat.grey) for a, b, c, d in (*level, *upright))
-
-
-def cable_plates(cable: CableConfig) -> tuple[Plate, ...]:
-    """The straight pieces of a cable, each a strip parallel to the wall."""
-    along = np.linspace(0.0, 1.0, _PIECES + 1)[:, None]
-    first, last = np.array(cable.ends_m)
-    places = first + along * (last - first) - 4.0 * cable.sag_m * along * (1.0 - along) * [0.0, 1.0, 0.0]
-    radius, plates = 0.5 * cable.diameter_m, []
-    for a, b in itertools.pairwise(places):
-        turn, half = math.atan2(b[1] - a[1], b[0] - a[0]), 0.5 * math.hypot(*(b - a)[:2])
-        X_OP = transform(rotation_from_vector(np.array([0.0, 0.0, turn])), 0.5 * (a + b))
-        reach = half + 0.2 * radius  # over the corner to the next
-        plates.append(plain_plate(X_OP, (-reach, reach), (-radius, radius), cable.grey))
-    return tuple(plates)
-
-
 def passer_plate(passer: PasserConfig) -> Plate:
     """What passes, at its place at time 0."""
     picture = rough_picture(passer.texture_seed, passer.size_m, passer.mean_grey, passer.contrast_grey)
     return _covered(front_of(passer.size_m, passer.place_m(0.0)), picture, lit_by_wall=False)
-
-
-def _spaced(half: float, spacing: float) -> Matrix:
-    count = int(2.0 * half / spacing + 1e-9)
-    return np.asarray((np.arange(count + 1) - 0.5 * count) * spacing, dtype=np.float64)
 
 
 def _covered(outline: Plate, picture: Grey, lit_by_wall: bool) -> Plate:

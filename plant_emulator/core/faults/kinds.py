@@ -200,7 +200,6 @@ class OwnFault(BaseFault):
         return load_kg
 
 
-CameraFault = CameraFrozen | CameraBlind | FramesDropped | MarkerCovered
 Fault = (
     ValveStuck
     | ValveSlow

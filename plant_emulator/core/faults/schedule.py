@@ -33,7 +33,13 @@ class RestartOrder(StrictModel):
     restart: Literal[True] = True
 
 
-Order = FaultOrder | MendOrder | RestartOrder
+class LookOrder(StrictModel):
+    """Break and mend nothing: how things stand is in every answer."""
+
+    look: Literal[True] = True
+
+
+Order = FaultOrder | MendOrder | RestartOrder | LookOrder
 
 
 class OrderMessage(StrictModel):
@@ -43,32 +49,22 @@ class OrderMessage(StrictModel):
     order: Order
 
 
-class FaultState(StrictModel):
-    """Simulated time (ns), and the faults in force and planned at that time, as ``Injection.as_dict``."""
+class PlantAnswer(StrictModel):
+    """Plant → API: what became of the ``number``-th order, and how things stand after it.
 
-    time_ns: int
-    active: list[dict[str, Any]]
-    planned: list[dict[str, Any]]
-
-
-class OrderAnswer(StrictModel):
-    """What became of the ``number``-th order: the faults it concerned, or why it is refused."""
-
-    number: int
-    concerned: tuple[dict[str, Any], ...] = ()
-    cause: str = ""
-    detail: str = ""
-
-
-class PlantMessage(StrictModel):
-    """Plant → API: the state now, after the order that is answered, if one is.
-
+    ``concerned``: the faults that it made or mended; ``cause``, ``detail``: why it is refused. ``active``,
+    ``planned``: faults at ``time_ns`` of simulated time; all faults as ``Injection.as_dict``.
     ``arm_points_m``: as ``true_points`` has them, where the truth is shown.
     """
 
-    state: FaultState
+    number: int
+    time_ns: int
+    active: list[dict[str, Any]]
+    planned: list[dict[str, Any]]
     arm_points_m: list[list[float]] | None = None
-    answer: OrderAnswer | None = None
+    concerned: list[dict[str, Any]] = Field(default_factory=list)
+    cause: str = ""
+    detail: str = ""
 
 
 MOST = 64

@@ -16,6 +16,7 @@ from plant_emulator.core.hydraulics.valve_commands import (
 )
 from plant_emulator.core.layout import (
     BRISTLE,
+    CHAMBER_TEMPERATURE,
     DRIVEN,
     HOLDING,
     LOAD_SENSE,
@@ -37,17 +38,14 @@ FLOOR = 1_000.0  # Pa: below it the air term is held constant, so that the modul
 
 
 @allocation_free
-def bulk_modulus(
-    pressure: float, volume: float, oil: float, wall: float, air: float, exponent: float
-) -> float:
-    """Effective bulk modulus (Pa) of a chamber: 1/β = 1/β_oil + C_wall/V + α (p0/p)^(1/n)/(n p).
+def bulk_modulus(pressure: float, oil: float, air: float, exponent: float) -> float:
+    """Effective bulk modulus (Pa) of a chamber: 1/β = 1/β_oil + α (p0/p)^(1/n)/(n p).
 
-    ``wall`` is the compliance of barrel and hose (m³/Pa), ``air`` the entrained volume fraction at
-    atmospheric pressure. Each term is a relative volume per pascal, hence mass is conserved whatever the
-    pressure does.
+    ``oil``: of oil, barrel and hose; ``air``: entrained volume fraction at atmospheric pressure. Each term is
+    a relative volume per pascal, hence mass is conserved whatever the pressure does.
     """
     p = max(pressure, FLOOR)
-    softness = 1.0 / oil + wall / volume
+    softness = 1.0 / oil
     if air > 0.0:
         softness += air * (ATMOSPHERE / p) ** (1.0 / exponent) / (exponent * p)
     return 1.0 / softness
@@ -132,18 +130,25 @@ def _end_stop(i: int, y: float, v: float, a: Array) -> float:
 
 @allocation_free
 def _pressure_rates(i: int, state: Array, a: Array, c: Array, flows: Array, rate: Array) -> None:
-    """Rates of both pressures and the holding valve of actuator ``i``, its flows and motion being known."""
+    """Rates of pressures, oil temperature and holding valve of actuator ``i``, its flows being known."""
     y, v = flows[i, col.F_POSITION], flows[i, col.F_VELOCITY]
     area_a, area_b = a[i, col.A_AREA_A], a[i, col.A_AREA_B]
     volume_a = a[i, col.A_DEAD_A] + area_a * y
     volume_b = a[i, col.A_DEAD_B] + area_b * (a[i, col.A_STROKE] - y)
     warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
-    wall, air, exponent = c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT]
-    stiff_a = bulk_modulus(state[PRESSURE_A + i], volume_a, oil, wall, air, exponent)
-    stiff_b = bulk_modulus(state[PRESSURE_B + i], volume_b, oil, wall, air, exponent)
+    air, exponent = c[col.C_AIR], c[col.C_EXPONENT]
+    stiff_a = bulk_modulus(state[PRESSURE_A + i], oil, air, exponent)
+    stiff_b = bulk_modulus(state[PRESSURE_B + i], oil, air, exponent)
     rate[PRESSURE_A + i] = stiff_a * (flows[i, col.F_NET_A] - area_a * v) / volume_a
     rate[PRESSURE_B + i] = stiff_b * (flows[i, col.F_NET_B] + area_b * v) / volume_b
+    if c[col.C_EXPANSION] > 0.0:  # oil that cools shrinks as if it flowed out; what the supply gives is warm
+        at = CHAMBER_TEMPERATURE + i
+        fresh = max(flows[i, col.F_SUPPLY], 0.0) / (volume_a + volume_b)
+        rate[at] = fresh * (state[TEMPERATURE] - state[at])
+        rate[at] -= c[col.C_CHAMBER_COOLING] * (state[at] - c[col.C_AMBIENT])
+        rate[PRESSURE_A + i] += stiff_a * c[col.C_EXPANSION] * rate[at]
+        rate[PRESSURE_B + i] += stiff_b * c[col.C_EXPANSION] * rate[at]
     rate[HOLDING + i] = 0.0
     if a[i, col.A_COUNTERBALANCE] > 0.0 and c[col.C_HOLD_LAG] > 0.0:
         wish = _held_open(state[PRESSURE_A + i], state[PRESSURE_B + i], c)
@@ -229,7 +234,7 @@ def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
     net = pumped - drawn - relief_flow(supply, c[col.C_RELIEF], c[col.C_PUMP_GAIN])
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
     volume = c[col.C_LINE_VOLUME]
-    stiff = bulk_modulus(supply, volume, oil, c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT])
+    stiff = bulk_modulus(supply, oil, c[col.C_AIR], c[col.C_EXPONENT])
     rate[SUPPLY] = stiff * net / volume
     rate[TEMPERATURE] = 0.0
     if c[col.C_HEAT_CAPACITY] > 0.0:

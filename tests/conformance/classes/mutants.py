@@ -21,7 +21,7 @@ from protocol.reference_messages import (
     Welcome,
 )
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutator import BrokenController, Make, edited, hooked
+from tests.conformance.mutator import BrokenController, Make, edited, follows, hooked, takes
 from tests.conformance.systematic_motions import (
     lower_floor,
     named_always,
@@ -51,24 +51,6 @@ def _hears(drops: Callable[[bytes], bool]) -> Make:
 
 def _sent_ns(data: bytes) -> int:
     return int.from_bytes(data[32:40], "little")
-
-
-def _takes(kind: type, other: Callable[[Any], Any]) -> Make:
-    return hooked(judge=lambda _, request: other(request) if isinstance(request, kind) else request)
-
-
-def _follows(other: Callable[[Any, Any], dict[str, Any]]) -> Make:
-    """Takes streamed references otherwise; ``other`` gets the message and the open stream."""
-
-    def judge_streamed(self: Any, arrival: Any) -> Any:
-        stream = self.bench.state.stream
-        return (
-            arrival
-            if stream is None
-            else arrival._replace(message=arrival.message._replace(**other(arrival.message, stream)))
-        )
-
-    return hooked(judge_streamed=judge_streamed)
 
 
 def _place(pose: Any, index: int, change: Callable[[float], float]) -> Any:
@@ -164,273 +146,54 @@ def _per(key: str) -> Make:
 
 
 MOVING_JOINTS = range(6)
+# fmt: off
 CLASSES: dict[str, tuple[tuple[str, int, Make], ...]] = {
     "halves of long numbers": (
-        (
-            "a nonce by its low half",
-            256,
-            edited((F, OF, "not (hello.client_nonce ^ self.welcome.client_nonce) & 0xFFFFFFFF")),
-        ),
-        (
-            "a nonce by its high half",
-            256,
-            edited((F, OF, "hello.client_nonce >> 32 == self.welcome.client_nonce >> 32")),
-        ),
-        (
-            "an old nonce but for bit 40",
-            256,
-            edited(
-                (
-                    S,
-                    "hello.client_nonce in self._past_nonces",
-                    "any(not (hello.client_nonce ^ each) & ~(1 << 40) for each in self._past_nonces)",
-                )
-            ),
-        ),
-        (
-            "a session but for bit 63",
-            217,
-            edited((S, "each.channel.session == number", "not (each.channel.session ^ number) & ~(1 << 63)")),
-        ),
-        (
-            "a session by its low half",
-            217,
-            edited((S, "each.channel.session == number", "not (each.channel.session ^ number) & 0xFFFFFFFF")),
-        ),
-        (
-            "answers by an id without bit 50",
-            434,
-            edited(
-                (
-                    L,
-                    "self._answered.get(command_id)",
-                    "self._answered.get(command_id, self._answered.get(command_id & ~(1 << 50)))",
-                )
-            ),
-        ),
-        (
-            "OVERTAKEN names half an id",
-            434,
-            edited(
-                (
-                    L,
-                    "overtaken(command_id, self._newest_id)",
-                    "overtaken(command_id, self._newest_id & 0xFFFFFFFF)",
-                )
-            ),
-        ),
+        ("a nonce by its low half", 256, edited((F, OF, "not (hello.client_nonce ^ self.welcome.client_nonce) & 0xFFFFFFFF"))),
+        ("a nonce by its high half", 256, edited((F, OF, "hello.client_nonce >> 32 == self.welcome.client_nonce >> 32"))),
+        ("an old nonce but for bit 40", 256, edited((S, "hello.client_nonce in self._past_nonces", "any(not (hello.client_nonce ^ each) & ~(1 << 40) for each in self._past_nonces)"))),
+        ("a session but for bit 63", 217, edited((S, "each.channel.session == number", "not (each.channel.session ^ number) & ~(1 << 63)"))),
+        ("a session by its low half", 217, edited((S, "each.channel.session == number", "not (each.channel.session ^ number) & 0xFFFFFFFF"))),
+        ("answers by an id without bit 50", 434, edited((L, "self._answered.get(command_id)", "self._answered.get(command_id, self._answered.get(command_id & ~(1 << 50)))"))),
+        ("OVERTAKEN names half an id", 434, edited((L, "overtaken(command_id, self._newest_id)", "overtaken(command_id, self._newest_id & 0xFFFFFFFF)"))),
         ("motion_id through a float", 257, _shows(motion_id=lambda s, _: int(float(s.motion_id)))),
         ("motion_id without its sign bit", 257, _shows(motion_id=lambda s, _: s.motion_id & 2**63 - 1)),
-        (
-            "a heartbeat's time in 56 bits",
-            422,
-            edited((S, "HeartbeatReply(message.sent_ns,", "HeartbeatReply(message.sent_ns & 2**56 - 1,")),
-        ),
-        (
-            "stream id + 2^32",
-            598,
-            _follows(
-                lambda m, s: {
-                    "stream_id": s.stream_id if not (m.stream_id ^ s.stream_id) & 0xFFFFFFFF else m.stream_id
-                }
-            ),
-        ),
-        (
-            "stream id by its high half",
-            598,
-            _follows(
-                lambda m, s: {
-                    "stream_id": s.stream_id if m.stream_id >> 32 == s.stream_id >> 32 else m.stream_id
-                }
-            ),
-        ),
-        (
-            "a stream's number in 24 bits",
-            585,
-            _follows(lambda m, s: {"number": s.number & ~0xFFFFFF | m.number & 0xFFFFFF}),
-        ),
-        (
-            "the age of a measurement in 32 bits",
-            599,
-            edited(
-                (
-                    S,
-                    "max(header.sent_ns - message.time_ns, 0)",
-                    "max(header.sent_ns - message.time_ns, 0) & 0xFFFFFFFF",
-                )
-            ),
-        ),
-        (
-            "grants bit 5",
-            136,
-            edited(
-                (
-                    F,
-                    "hello.capabilities & self._capabilities",
-                    "hello.capabilities & (self._capabilities | 32)",
-                )
-            ),
-        ),
+        ("a heartbeat's time in 56 bits", 422, edited((S, "HeartbeatReply(message.sent_ns,", "HeartbeatReply(message.sent_ns & 2**56 - 1,"))),
+        ("stream id + 2^32", 598, follows(lambda m, s: {"stream_id": s.stream_id if not (m.stream_id ^ s.stream_id) & 0xFFFFFFFF else m.stream_id})),
+        ("stream id by its high half", 598, follows(lambda m, s: {"stream_id": s.stream_id if m.stream_id >> 32 == s.stream_id >> 32 else m.stream_id})),
+        ("a stream's number in 24 bits", 585, follows(lambda m, s: {"number": s.number & ~0xFFFFFF | m.number & 0xFFFFFF})),
+        ("the age of a measurement in 32 bits", 599, edited((S, "max(header.sent_ns - message.time_ns, 0)", "max(header.sent_ns - message.time_ns, 0) & 0xFFFFFFFF"))),
+        ("grants bit 5", 136, edited((F, "hello.capabilities & self._capabilities", "hello.capabilities & (self._capabilities | 32)"))),
     ),
     "edges of what is accepted": (
-        (
-            "0.5 s refused",
-            561,
-            other_settings(
-                "motion.duration_min_s=0.500000001", BAD_DURATION=named_one_of((0.500000001, 0.5))
-            ),
-        ),
-        (
-            "0.4996 s accepted",
-            561,
-            other_settings("motion.duration_min_s=0.4996", BAD_DURATION=named_one_of((0.4996, 0.5))),
-        ),
-        (
-            "300.0001 s accepted",
-            561,
-            other_settings("motion.duration_max_s=300.0001", BAD_DURATION=named_one_of((300.0001, 300.0))),
-        ),
-        (
-            "-0 s is too short",
-            439,
-            _takes(
-                ReferencePose,
-                lambda r: r._replace(duration_s=-1.0) if math.copysign(1.0, r.duration_s) < 0.0 else r,
-            ),
-        ),
-        (
-            "a dwell of -0 is negative",
-            439,
-            _takes(ReferencePath, lambda r: r._replace(dwell_s=-1.0) if str(r.dwell_s) == "-0.0" else r),
-        ),
-        (
-            "a dwell just below 0 is 0",
-            562,
-            _takes(ReferencePath, lambda r: r._replace(dwell_s=0.0) if -1e-9 < r.dwell_s < 0.0 else r),
-        ),
-        (
-            "a segment of the least time is too short",
-            562,
-            _takes(ReferencePath, lambda r: r._replace(segment_s=0.1) if r.segment_s == 0.5 else r),
-        ),
-        (
-            "a first pose a millimetre too far",
-            564,
-            other_settings("motion.first_point_distance_m=3.001", TOO_FAR=named_always(3.0)),
-        ),
-        (
-            "a workspace a millimetre deeper",
-            565,
-            reconfigured(lambda: lower_floor(-1e-3), OUTSIDE_WORKSPACE=named_always(-1.0)),
-        ),
-        (
-            "a streamed distance of 0.501 m",
-            581,
-            other_settings("streaming.distance_m=0.501", TOO_FAR=named_one_of((0.501, 0.5))),
-        ),
-        (
-            "a twist a thousandth too fast",
-            583,
-            other_settings("streaming.speed_m_s=0.25025", TOO_FAST=lambda x: x / 1.001 if x < 0.116 else x),
-        ),
-        (
-            "a norm off by 0.00101",
-            441,
-            _takes(
-                ReferencePose,
-                lambda r: r._replace(
-                    X_BT_ref=r.X_BT_ref._replace(q_wxyz=tuple(c * 0.9999 for c in r.X_BT_ref.q_wxyz))
-                ),
-            ),
-        ),
+        ("0.5 s refused", 561, other_settings("motion.duration_min_s=0.500000001", BAD_DURATION=named_one_of((0.500000001, 0.5)))),
+        ("0.4996 s accepted", 561, other_settings("motion.duration_min_s=0.4996", BAD_DURATION=named_one_of((0.4996, 0.5)))),
+        ("300.0001 s accepted", 561, other_settings("motion.duration_max_s=300.0001", BAD_DURATION=named_one_of((300.0001, 300.0)))),
+        ("-0 s is too short", 439, takes(ReferencePose, lambda r: r._replace(duration_s=-1.0) if math.copysign(1.0, r.duration_s) < 0.0 else r)),
+        ("a dwell of -0 is negative", 439, takes(ReferencePath, lambda r: r._replace(dwell_s=-1.0) if str(r.dwell_s) == "-0.0" else r)),
+        ("a dwell just below 0 is 0", 562, takes(ReferencePath, lambda r: r._replace(dwell_s=0.0) if -1e-9 < r.dwell_s < 0.0 else r)),
+        ("a segment of the least time is too short", 562, takes(ReferencePath, lambda r: r._replace(segment_s=0.1) if r.segment_s == 0.5 else r)),
+        ("a first pose a millimetre too far", 564, other_settings("motion.first_point_distance_m=3.001", TOO_FAR=named_always(3.0))),
+        ("a workspace a millimetre deeper", 565, reconfigured(lambda: lower_floor(-1e-3), OUTSIDE_WORKSPACE=named_always(-1.0))),
+        ("a streamed distance of 0.501 m", 581, other_settings("streaming.distance_m=0.501", TOO_FAR=named_one_of((0.501, 0.5)))),
+        ("a twist a thousandth too fast", 583, other_settings("streaming.speed_m_s=0.25025", TOO_FAST=lambda x: x / 1.001 if x < 0.116 else x)),
+        ("a norm off by 0.00101", 441, takes(ReferencePose, lambda r: r._replace(X_BT_ref=r.X_BT_ref._replace(q_wxyz=tuple(c * 0.9999 for c in r.X_BT_ref.q_wxyz))))),
     ),
     "one float of one field": (
-        (
-            "a subnormal in one twist",
-            546,
-            _follows(
-                lambda m, _: {
-                    "twist_ref": tuple(_flushed(v) if k == 3 else v for k, v in enumerate(m.twist_ref))
-                }
-            ),
-        ),
-        (
-            "NaN in one streamed quaternion",
-            546,
-            _follows(
-                lambda m, _: {"X_BT_ref": _place(m.X_BT_ref, 6, lambda v: v if math.isfinite(v) else 0.5)}
-            ),
-        ),
-        (
-            "NaN in a late waypoint",
-            440,
-            _takes(
-                ReferencePath,
-                lambda r: r._replace(
-                    waypoints=(
-                        *r.waypoints[:13],
-                        *(r.waypoints[0] for _ in r.waypoints[13:14]),
-                        *r.waypoints[14:],
-                    )
-                ),
-            ),
-        ),
-        ("a subnormal dwell", 440, _takes(ReferencePath, lambda r: r._replace(dwell_s=_flushed(r.dwell_s)))),
-        (
-            "the greatest subnormal in y",
-            521,
-            _takes(
-                ReferencePose,
-                lambda r: r._replace(
-                    X_BT_ref=_place(
-                        r.X_BT_ref, 1, lambda v: v if abs(v) < 1e-309 else _flushed(v) if abs(v) < 1.0 else v
-                    )
-                ),
-            ),
-        ),
-        (
-            "negative infinity for a default time",
-            521,
-            _takes(
-                ReferencePose,
-                lambda r: r._replace(duration_s=0.0 if r.duration_s == -math.inf else r.duration_s),
-            ),
-        ),
-        (
-            "the least normal is none",
-            439,
-            _takes(
-                ReferencePose,
-                lambda r: r._replace(
-                    duration_s=math.nan if 0.0 < abs(r.duration_s) < 1e-300 else r.duration_s
-                ),
-            ),
-        ),
+        ("a subnormal in one twist", 546, follows(lambda m, _: {"twist_ref": tuple(_flushed(v) if k == 3 else v for k, v in enumerate(m.twist_ref))})),
+        ("NaN in one streamed quaternion", 546, follows(lambda m, _: {"X_BT_ref": _place(m.X_BT_ref, 6, lambda v: v if math.isfinite(v) else 0.5)})),
+        ("NaN in a late waypoint", 440, takes(ReferencePath, lambda r: r._replace(waypoints=(*r.waypoints[:13], *(r.waypoints[0] for _ in r.waypoints[13:14]), *r.waypoints[14:])))),
+        ("a subnormal dwell", 440, takes(ReferencePath, lambda r: r._replace(dwell_s=_flushed(r.dwell_s)))),
+        ("the greatest subnormal in y", 521, takes(ReferencePose, lambda r: r._replace(X_BT_ref=_place(r.X_BT_ref, 1, lambda v: v if abs(v) < 1e-309 else _flushed(v) if abs(v) < 1.0 else v)))),
+        ("negative infinity for a default time", 521, takes(ReferencePose, lambda r: r._replace(duration_s=0.0 if r.duration_s == -math.inf else r.duration_s))),
+        ("the least normal is none", 439, takes(ReferencePose, lambda r: r._replace(duration_s=math.nan if 0.0 < abs(r.duration_s) < 1e-300 else r.duration_s))),
     ),
     "a peer's clock from any start": (
         ("drops a clock above 2^63", 316, _hears(lambda d: len(d) > 40 and _sent_ns(d) >> 63 == 1)),
         ("drops a time of 0", 316, _hears(lambda d: len(d) > 40 and _sent_ns(d) == 0)),
-        (
-            "ages in 53 bits",
-            316,
-            edited((C, "transit = now_ns - sent_ns", "transit = now_ns - (sent_ns & (1 << 53) - 1)")),
-        ),
-        (
-            "restarts by a signed time",
-            316,
-            edited(
-                (
-                    S,
-                    "header.sent_ns < session.hello_sent_ns",
-                    "header.sent_ns ^ 1 << 63 < session.hello_sent_ns ^ 1 << 63",
-                )
-            ),
-        ),
-        (
-            "ages in 40 bits",
-            316,
-            edited((C, "transit = now_ns - sent_ns", "transit = now_ns - (sent_ns & (1 << 40) - 1)")),
-        ),
+        ("ages in 53 bits", 316, edited((C, "transit = now_ns - sent_ns", "transit = now_ns - (sent_ns & (1 << 53) - 1)"))),
+        ("restarts by a signed time", 316, edited((S, "header.sent_ns < session.hello_sent_ns", "header.sent_ns ^ 1 << 63 < session.hello_sent_ns ^ 1 << 63"))),
+        ("ages in 40 bits", 316, edited((C, "transit = now_ns - sent_ns", "transit = now_ns - (sent_ns & (1 << 40) - 1)"))),
     ),
     "sign of one joint": (
         *((f"the valve of joint {j + 1}", 595, _negated(("valves",), j)) for j in MOVING_JOINTS),
@@ -442,26 +205,14 @@ CLASSES: dict[str, tuple[tuple[str, int, Make], ...]] = {
         ("leaps by 100 at ENABLE", 899, _counts(lambda self, s: 100 * _entered(self, s, GroupState.STANDBY))),
         ("stands in ERROR_STOP", 895, _counts(lambda _, s: -(s.group_state is GroupState.ERROR_STOP))),
         ("counts twice in motion", 899, _counts(lambda _, s: s.group_state is GroupState.MOVING)),
-        (
-            "goes back by one at an emergency",
-            895,
-            _counts(lambda self, s: -_entered(self, s, GroupState.ERROR_STOP)),
-        ),
-        (
-            "leaps by 6 when it stops",
-            899,
-            _counts(lambda self, s: 6 * _entered(self, s, GroupState.STOPPING)),
-        ),
+        ("goes back by one at an emergency", 895, _counts(lambda self, s: -_entered(self, s, GroupState.ERROR_STOP))),
+        ("leaps by 6 when it stops", 899, _counts(lambda self, s: 6 * _entered(self, s, GroupState.STOPPING))),
     ),
     "order across kinds": (
         ("commands first", 425, _ordered(lambda taken: sorted(taken, key=_is_reference))),
         ("references first", 425, _ordered(lambda taken: sorted(taken, key=lambda r: not _is_reference(r)))),
         ("the last first", 424, _ordered(lambda taken: taken[::-1])),
-        (
-            "stops keep no order",
-            427,
-            _ordered(lambda taken: sorted(taken, key=lambda r: getattr(r, "code", 99))),
-        ),
+        ("stops keep no order", 427, _ordered(lambda taken: sorted(taken, key=lambda r: getattr(r, "code", 99)))),
         (
             "a command overtakes references",
             426,
@@ -498,22 +249,14 @@ CLASSES: dict[str, tuple[tuple[str, int, Make], ...]] = {
                     "        return self._tally.drop(cause, detail)",
                     "        self._refused_at_ns = self._refused_at_ns if cause in ('session.unknown', 'session.wrong_arm', 'session.occupied') and not detail.startswith('session 1234') else getattr(self, '_now', None)\n        return self._tally.drop(cause, detail)",
                 ),
-                (
-                    S,
-                    "        events = self.tick(now_ns)\n",
-                    "        events, self._now = self.tick(now_ns), now_ns\n",
-                ),
+                (S, "        events = self.tick(now_ns)\n", "        events, self._now = self.tick(now_ns), now_ns\n"),
             ),
         ),
         (
             "keeps a grant of each source",
             234,
             edited(
-                (
-                    S,
-                    "        self._unconfirmed = self._granted(",
-                    "        self.__dict__.setdefault('_all', {})[source] = self._unconfirmed = self._granted(",
-                ),
+                (S, "        self._unconfirmed = self._granted(", "        self.__dict__.setdefault('_all', {})[source] = self._unconfirmed = self._granted("),
                 (
                     S,
                     "        sessions = (self._session, self._unconfirmed)\n",
@@ -524,17 +267,7 @@ CLASSES: dict[str, tuple[tuple[str, int, Make], ...]] = {
     ),
     "grants": (
         ("BYE in a grant is ignored", 258, edited((S, TAKEN, "                return []"))),
-        (
-            "BYE in a grant ends the session in use",
-            258,
-            edited(
-                (
-                    S,
-                    TAKEN,
-                    "                self._unconfirmed = None\n                return self.close(now_ns)",
-                )
-            ),
-        ),
+        ("BYE in a grant ends the session in use", 258, edited((S, TAKEN, "                self._unconfirmed = None\n                return self.close(now_ns)"))),
         (
             "HELLO again changes the period",
             208,
@@ -546,44 +279,13 @@ CLASSES: dict[str, tuple[tuple[str, int, Make], ...]] = {
                 )
             ),
         ),
-        (
-            "HELLO again changes the period in silence",
-            208,
-            edited(
-                (
-                    S,
-                    AGAIN,
-                    AGAIN
-                    + "\n                    each.welcome = each.welcome._replace(state_period_ms=hello.state_period_ms)",
-                )
-            ),
-        ),
-        (
-            "HELLO again is judged by its arm",
-            208,
-            edited(
-                (
-                    S,
-                    "if each and each.is_of(hello, source):",
-                    "if each and each.is_of(hello, source) and hello.arm_hash in (ANY_ARM, self._arm_hash):",
-                )
-            ),
-        ),
-        (
-            "HELLO again prolongs a grant",
-            259,
-            edited((S, AGAIN, AGAIN + "\n                    each.greeted_ns = now_ns")),
-        ),
+        ("HELLO again changes the period in silence", 208, edited((S, AGAIN, AGAIN + "\n                    each.welcome = each.welcome._replace(state_period_ms=hello.state_period_ms)"))),
+        ("HELLO again is judged by its arm", 208, edited((S, "if each and each.is_of(hello, source):", "if each and each.is_of(hello, source) and hello.arm_hash in (ANY_ARM, self._arm_hash):"))),
+        ("HELLO again prolongs a grant", 259, edited((S, AGAIN, AGAIN + "\n                    each.greeted_ns = now_ns"))),
         (
             "HELLO of another arm takes a grant back",
             260,
-            edited(
-                (
-                    S,
-                    "            self._refuse(Reason.WRONG_ARM, 0, source, now_ns)",
-                    "            self._unconfirmed = None\n            self._refuse(Reason.WRONG_ARM, 0, source, now_ns)",
-                )
-            ),
+            edited((S, "            self._refuse(Reason.WRONG_ARM, 0, source, now_ns)", "            self._unconfirmed = None\n            self._refuse(Reason.WRONG_ARM, 0, source, now_ns)")),
         ),
     ),
     "several in one read": (
@@ -599,33 +301,16 @@ CLASSES: dict[str, tuple[tuple[str, int, Make], ...]] = {
         ("a number is left out behind each hundredth", 894, _numbered("number % 100 == 99", 1)),
     ),
     "reserved bits": (
-        (
-            "a flag of STATE in an emergency",
-            896,
-            _shows(flags=lambda s, _: s.flags | 128 * (s.group_state is GroupState.ERROR_STOP)),
-        ),
-        (
-            "a flag of STATE in motion",
-            899,
-            _shows(flags=lambda s, _: s.flags | 16 * (s.group_state is GroupState.MOVING)),
-        ),
+        ("a flag of STATE in an emergency", 896, _shows(flags=lambda s, _: s.flags | 128 * (s.group_state is GroupState.ERROR_STOP))),
+        ("a flag of STATE in motion", 899, _shows(flags=lambda s, _: s.flags | 16 * (s.group_state is GroupState.MOVING))),
         ("a flag of a reply's header", 896, _sends(HeartbeatReply, _byte(8, 9))),
         ("padding of BYE", 891, _sends(Bye, _byte(47, 1))),
         ("padding of WELCOME", 891, _sends(Welcome, _byte(84, 255))),
         ("the spare byte of a refusal", 891, _sends(StreamRefused, _byte(7, 1))),
-        (
-            "a capability of no table",
-            136,
-            edited(
-                (
-                    F,
-                    "hello.capabilities & self._capabilities",
-                    "hello.capabilities & (self._capabilities | 1 << 33)",
-                )
-            ),
-        ),
+        ("a capability of no table", 136, edited((F, "hello.capabilities & self._capabilities", "hello.capabilities & (self._capabilities | 1 << 33)"))),
     ),
 }
+# fmt: on
 MUTANTS = tuple(
     BrokenController(f"{kind}: {name}", "", make, case=case)
     for kind, rows in CLASSES.items()

@@ -5,7 +5,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from controller.core.excitation.plan import Excitation, ExcitationPlan, Measured, Phase, StrokeKind, begun
+from controller.core.excitation.plan import (
+    PATIENCE_S,
+    Excitation,
+    ExcitationPlan,
+    Measured,
+    Phase,
+    StrokeKind,
+    begun,
+)
 from controller.core.excitation.strokes import broken_off, excite
 from tests.controller.excitation.toy_valve import DT_S, START, plan_for
 
@@ -79,7 +87,7 @@ def test_each_limit_is_named(now: Instant, cause: str | None) -> None:
 def test_an_arm_that_never_comes_to_rest_is_named() -> None:
     plan = plan_for(JOINT)
     q, state, trouble = START.copy(), begun(START), None
-    for _ in range(round((plan.limits.patience_s + 1.0) / DT_S)):
+    for _ in range(round((PATIENCE_S + 1.0) / DT_S)):
         q[JOINT] += DT_S * 5e-3
         state, trouble = excite(plan, state, Measured(q.copy(), 100.0), DT_S)
         if trouble is not None:

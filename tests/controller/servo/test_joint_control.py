@@ -144,7 +144,8 @@ def test_load_pressure_weighs_the_annulus(arm: NominalArm) -> None:
     assert load == pytest.approx([50.0, 100.0 - 0.68359 * 50.0, 100.0 - 0.68359 * 50.0, 50.0, 50.0, 50.0])
 
 
-GAINS = ServoGains(0.8, 1.6, 1e-4, 0.05, 0.05)
+GAINS = ServoGains(0.8, 1.6, 0.05, 0.05)
+ZONE = 1e-4 * ONES
 Q = np.radians([10.0, 50.0, -75.0, 15.0, -25.0, 5.0])
 
 
@@ -153,7 +154,7 @@ def test_the_pose_servo_steers_back_along_the_error(table: Array) -> None:
     turn = np.array(exponential(np.array([0.0, 0.0, 0.01])))
     shift = np.array([0.0, 0.02, 0.0])
     desired = at_rest(tool.p_BT + shift, quaternion_product(turn, tool.quaternion))
-    resolved = resolve(tool, desired, GAINS._replace(dead_zone=0.0))
+    resolved = resolve(tool, desired, GAINS, 0.0 * ONES)
     want = [0.0, 0.8 * 0.02, 0.0, 0.0, 0.0, 1.6 * math.sin(0.005)]
     assert tool.J_BT @ resolved.qd_cmd == pytest.approx(want, abs=1e-12)
     ahead = tool_state(table, Q + resolved.q_error)
@@ -165,8 +166,8 @@ def test_inside_the_dead_zone_nothing_integrates_and_the_zone_opens_without_a_st
     speeds = []
     for size in np.linspace(0.0, 3e-3, 301):
         desired = at_rest(tool.p_BT + np.array([0.0, 0.0, size]), tool.quaternion)
-        resolved = resolve(tool, desired, GAINS)
-        quiet = np.abs(resolved.q_error) <= GAINS[2]
+        resolved = resolve(tool, desired, GAINS, ZONE)
+        quiet = np.abs(resolved.q_error) <= ZONE
         assert not resolved.qd_cmd[quiet].any()
         speeds.append(resolved.qd_cmd)
     assert np.abs(np.diff(speeds, axis=0)).max() < 2e-5
@@ -177,7 +178,7 @@ def test_the_desired_motion_passes_undamped_to_the_joints(table: Array) -> None:
     moving = at_rest(tool.p_BT, tool.quaternion)._replace(
         v=np.array([0.1, -0.05, 0.02]), omega=np.array([0, 0.1, 0.0])
     )
-    resolved = resolve(tool, moving, GAINS)
+    resolved = resolve(tool, moving, GAINS, ZONE)
     assert resolved.damping_squared == 0.0
     assert tool.J_BT @ resolved.qd_cmd == pytest.approx([0.1, -0.05, 0.02, 0.0, 0.1, 0.0], abs=1e-12)
 

@@ -7,6 +7,7 @@ import io
 import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -209,6 +210,38 @@ async def test_answers_leave_from_the_address_that_was_asked() -> None:
         port.publish((), None, time.monotonic_ns())  # type: ignore[arg-type] - no session is left
         await peer.turn()
         assert any(isinstance(e, SessionLost) and e.reason is Reason.SHUTDOWN for e in peer.events)
+        peer.socket.connect(("127.0.0.3", port.address[1]))  # from the same port to another of the addresses
+        peer.session, peer.events = ReferenceClient(nonce=3, state_period_ms=10), []
+        await peer.connect()
+        peer.submit(Command(0, CommandCode.STOP))
+        await peer.turn()
+        assert [type(request) for request in _take(port)[0]] == [Command]
     finally:
         peer.socket.close()
         port.close()
+
+
+async def test_a_greeting_that_comes_while_the_session_ends_is_answered(
+    port: ReferencePort, meet: Meet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, again = meet(port, 1), ReferenceClient(nonce=2)
+    await first.connect()
+    judge = port.server.receive_batch
+
+    def judged(datagrams: list[Any], now_ns: int) -> list[Any]:
+        events = judge(datagrams, now_ns)
+        if port.server.session is None and again.statistics.received == 0:
+            monkeypatch.undo()
+            again.connect(now_ns)
+            for data in again.outgoing(now_ns):
+                first.socket.send(data)  # behind the batch that was read, before its socket is closed
+        return events
+
+    monkeypatch.setattr(port.server, "receive_batch", judged)
+    first.session.disconnect(time.monotonic_ns())
+    for data in first.session.outgoing(time.monotonic_ns()):
+        first.socket.send(data)
+    await asyncio.sleep(0.02)
+    _take(port)
+    again.receive(first.socket.recv(4096), time.monotonic_ns())
+    assert again.connected

@@ -14,7 +14,6 @@ from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import ScanInput, ScanOutput
 from controller.shell.scan_recorder import FILE, FRAMES, LOG, STATE, TOPICS, ScanRecorder
 from foundation.configuration import load
-from foundation.event_log import EventLog
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from protocol.faults import CommandCode
@@ -52,12 +51,6 @@ def scans(arm: NominalArm, count: int) -> list[tuple[ScanInput, ScanOutput]]:
     return made
 
 
-@pytest.fixture
-def log() -> Any:
-    with closing(EventLog("controller")) as made:
-        yield made
-
-
 def decoded(path: Path) -> dict[str, list[Any]]:
     """Messages by topic, as the library of the format's makers decodes them."""
     found: dict[str, list[Any]] = {STATE: [], FRAMES: [], LOG: []}
@@ -68,11 +61,9 @@ def decoded(path: Path) -> dict[str, list[Any]]:
     return found
 
 
-def test_others_decode_what_every_scan_saw_and_commanded(
-    arm: NominalArm, tmp_path: Path, log: EventLog
-) -> None:
+def test_others_decode_what_every_scan_saw_and_commanded(arm: NominalArm, tmp_path: Path) -> None:
     made = scans(arm, 6)
-    with closing(ScanRecorder(tmp_path, arm, config_of(200.0), log)) as recorder:
+    with closing(ScanRecorder(tmp_path, arm, config_of(200.0))) as recorder:
         for inputs, output in made:
             recorder.scan(inputs, output)
     found = decoded(tmp_path / FILE)
@@ -95,11 +86,9 @@ def test_others_decode_what_every_scan_saw_and_commanded(
     assert [line.message.partition(":")[0] for line in found[LOG]] == told
 
 
-def test_fewer_scans_are_recorded_when_asked_for_and_all_events(
-    arm: NominalArm, tmp_path: Path, log: EventLog
-) -> None:
+def test_fewer_scans_are_recorded_when_asked_for_and_all_events(arm: NominalArm, tmp_path: Path) -> None:
     made = scans(arm, 40)
-    with closing(ScanRecorder(tmp_path, arm, config_of(50.0), log)) as recorder:
+    with closing(ScanRecorder(tmp_path, arm, config_of(50.0))) as recorder:
         for inputs, output in made:
             recorder.scan(inputs, output)
     found = decoded(tmp_path / FILE)
@@ -114,9 +103,9 @@ def test_the_page_tells_of_every_topic() -> None:
     }
 
 
-def test_an_existing_recording_is_refused(arm: NominalArm, tmp_path: Path, log: EventLog) -> None:
+def test_an_existing_recording_is_refused(arm: NominalArm, tmp_path: Path) -> None:
     (tmp_path / FILE).write_bytes(b"precious")
     with pytest.raises(ConfigurationError, match=FILE) as refused:
-        ScanRecorder(tmp_path, arm, config_of(50.0), log)
+        ScanRecorder(tmp_path, arm, config_of(50.0))
     assert refused.value.cause == "configuration.recording"
     assert (tmp_path / FILE).read_bytes() == b"precious"

@@ -16,7 +16,7 @@ import pytest
 
 from controller.shell.scan_recorder import FILE, TOPICS
 from foundation.configuration import configuration_hash
-from foundation.recording.recovery import contents
+from foundation.recording.contents import contents
 from nominal_arm.description import NominalArm
 from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -198,8 +198,7 @@ def _ports(server: PlantServer, *settings: str) -> tuple[str, ...]:
 async def test_a_motion_from_end_to_end_and_a_clean_exit(
     server: PlantServer, start: Start, connect: Connect, tmp_path: Path
 ) -> None:
-    figures = tmp_path / "figures.json"
-    child = await start(*_ports(server), "--statistics", str(figures), "--record-dir", str(tmp_path))
+    child = await start(*_ports(server), "--record-dir", str(tmp_path))
     await child.wait_ready()
     client = await connect(child)
     await client.enabled()
@@ -225,7 +224,7 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
     assert lines[-1]["event"] == "stopped"
     assert server.written[-1].control == 0
     assert server.written[-1].valves == (0.0,) * 6
-    written = json.loads(figures.read_text())
+    written = lines[-1]["statistics"]
     assert written["cycles"] > 100
     assert written["plant_exchanges"] > 100
     assert written["late_p999_us"] >= written["late_p50_us"] > 0

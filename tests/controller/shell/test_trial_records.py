@@ -17,7 +17,7 @@ from foundation.configuration import load
 from foundation.event_log import EventLog
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
-from testbed.commissioning.runs import read_trial
+from testbed.commissioning.recording import read_trial
 from tests.controller.conftest import CONFIGS
 
 

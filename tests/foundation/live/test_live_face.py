@@ -240,10 +240,6 @@ async def test_figures_are_asked_of_the_service(tmp_path: Path) -> None:
         assert told.headers["content-type"].startswith("text/plain; version=0.0.4")
         assert told.text == "longreach_tested 1\n"
         assert (await asked.get("/metrics", headers={"Host": "evil.example"})).status_code == 421
-        for path, status in (("/metrics", 200), ("/", 426), ("/nowhere", 404)):
-            head = await asked.head(path)
-            assert (head.status_code, head.content) == (status, b"")
-            assert int(head.headers["Content-Length"]) > 0
         assert (await asked.post("/metrics")).status_code == 405
         assert (await asked.get("/else")).status_code == 404
 

@@ -83,14 +83,6 @@ def test_a_kill_at_any_time_takes_along_less_than_a_chunk(tmp_path: Path) -> Non
             assert (number - len(found)) * step_ns < CHUNK_NS
 
 
-def test_a_cut_leaves_whole_chunks(tmp_path: Path) -> None:
-    written(tmp_path / "f.mcap", 30)
-    whole = (tmp_path / "f.mcap").read_bytes()
-    found = [kept(whole[:cut], tmp_path / "copy.mcap") for cut in range(60, len(whole), 37)]
-    assert {len(times) for times in found} == {0, 10, 20, 30}
-    assert all(times == list(range(len(times))) for times in found)
-
-
 def test_the_index_does_not_stay_in_memory(tmp_path: Path) -> None:
     """As a list of the library's it would take 0.6 kB a chunk."""
     with closing(made(tmp_path / "f.mcap")) as file:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 from fastapi import FastAPI
 
-from foundation.rest.door import Door
-from foundation.rest.door_connection import Stops
+from foundation.event_log import EventLog
+from foundation.rest.door import Door, Stops
 from foundation.rest.guard import ANYBODY_HERE, Access, Guard
-from foundation.rest.problems import RefusalLines, RefusalLog
+from foundation.rest.problems import RefusalLog
 from foundation.rest.server import RestServer, service_socket
 
 
@@ -28,7 +28,7 @@ class Serving(NamedTuple):
 def serving(
     app: FastAPI,
     access: Access = ANYBODY_HERE,
-    log: RefusalLines | None = None,
+    log: EventLog | None = None,
     *,
     stops: Stops | None = None,
     **places: Any,

@@ -14,7 +14,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.responses import StreamingResponse
 
-from foundation.rest import door_connection
+from foundation.rest import door
 from foundation.rest.guard import Access
 from foundation.rest.problems import DATA_HEADERS, Refusal
 from foundation.rest.server import install_problems
@@ -61,7 +61,7 @@ class Api(NamedTuple):
 
 @pytest.fixture
 def api(monkeypatch: pytest.MonkeyPatch) -> Iterator[Api]:
-    monkeypatch.setattr(door_connection, "SURPLUS_WITHIN_S", PATIENCE_S)
+    monkeypatch.setattr(door, "SURPLUS_WITHIN_S", PATIENCE_S)
     begun: list[str] = []
     release, blocked = threading.Event(), threading.Event()
     app = FastAPI()
@@ -241,7 +241,7 @@ def test_a_stop_waits_neither_for_its_body_nor_for_the_service(api: Api) -> None
 def test_who_says_nothing_on_a_connection_too_many_has_to_leave(
     api: Api, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(door_connection, "SURPLUS_WITHIN_S", 1.0)
+    monkeypatch.setattr(door, "SURPLUS_WITHIN_S", 1.0)
     with full(api):
         began = time.monotonic()
         with api.connect() as sock:

@@ -6,7 +6,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from foundation.rest.files import PAGE_POLICY, PageFiles, add_files
+from foundation.rest.files import PageFiles, add_files
 
 
 @pytest.fixture
@@ -31,16 +31,6 @@ async def test_files_are_served_by_name_with_type_and_policy(client: httpx.Async
     assert "/javascript" in ours.headers["content-type"]  # else a module is not run
     assert ours.text == "// ours"
     assert (await client.get("/page/vendor/theirs.js")).text == "// theirs"
-
-
-async def test_a_page_may_ask_one_address_more(tmp_path: Path) -> None:
-    (tmp_path / "index.html").write_text("<!doctype html>")
-    app, asks = FastAPI(docs_url=None, redoc_url=None), "http://127.0.0.1:8010"
-    add_files(app, PageFiles(tmp_path, "/page", "/", asks))
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://files") as client:
-        policy = (await client.get("/")).headers["content-security-policy"]
-    assert f"connect-src 'self' {asks};" in policy
-    assert policy.replace(f" {asks}", "") == PAGE_POLICY
 
 
 @pytest.mark.parametrize(

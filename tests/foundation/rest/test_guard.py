@@ -16,7 +16,7 @@ from fastapi.responses import JSONResponse, StreamingResponse
 from pydantic import ValidationError
 
 from foundation.configuration import HostName, StrictModel
-from foundation.rest import door_connection
+from foundation.rest import door
 from foundation.rest.guard import ANYBODY_HERE, Access, Guard, GuardedRequest
 from foundation.rest.http_messages import MOST_BODY_BYTES
 from foundation.rest.problems import SECURITY_HEADERS, RefusalLog
@@ -79,7 +79,7 @@ def served() -> Iterator[Served]:
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     """One with little patience for requests that do not come whole."""
-    monkeypatch.setattr(door_connection, "REQUEST_WITHIN_S", SLOW_S)
+    monkeypatch.setattr(door, "REQUEST_WITHIN_S", SLOW_S)
     with served_app() as made:
         yield made
 

@@ -1,11 +1,10 @@
 """One variable does without tokens: for this machine alone, and only if it says 1."""
 
-import http.client
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import httpx
 import pytest
 from fastapi import FastAPI
 
@@ -89,8 +88,5 @@ def test_other_senders_are_refused(senders: frozenset[str], said: tuple[int, str
         return {"group_state": "disabled"}
 
     with serving(app, Access(senders=senders)) as where:
-        connection = http.client.HTTPConnection("127.0.0.1", where.port, timeout=20.0)
-        connection.request("GET", "/state")
-        answer = connection.getresponse()
-        assert (answer.status, json.loads(answer.read()).get("cause")) == said
-        connection.close()
+        answer = httpx.get(f"http://127.0.0.1:{where.port}/state", timeout=20.0)
+        assert (answer.status_code, answer.json().get("cause")) == said

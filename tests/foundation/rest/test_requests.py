@@ -6,7 +6,7 @@ import time
 import h11
 import pytest
 
-from foundation.rest.door_connection import IDLE_S
+from foundation.rest.door import IDLE_S
 from foundation.rest.http_messages import (
     Head,
     RequestUnreadable,

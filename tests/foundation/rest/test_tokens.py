@@ -14,9 +14,7 @@ from fastapi import FastAPI
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel
-from foundation.rest.guard import Access, Guard, Role
-from foundation.rest.guard import GuardedRequest as Request
-from foundation.rest.problems import RefusalLog
+from foundation.rest.guard import Access, Role
 from foundation.rest.server import install_problems
 from foundation.rest.tokens import TokenSources, configured_access, is_loopback
 from foundation.secret_source import SecretSource, write_new_secret
@@ -185,7 +183,7 @@ def test_beyond_loopback_a_token_is_compulsory(tmp_path: Path, host: str, here: 
 
 def test_tokens_are_two_and_kept_to_oneself(tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("look", "operate")]
-    made = [sys.executable, "-m", "testbed.cli", "token", "new", *map(str, files)]
+    made = [sys.executable, "-m", "longreach", "token", "new", *map(str, files)]
     said = subprocess.run(made, capture_output=True, text=True, check=True).stdout
     texts = [path.read_text() for path in files]
     assert len({*texts}) == 2
@@ -219,10 +217,3 @@ def test_a_service_does_not_start_beyond_loopback_without_a_token(module: str, s
     assert "configuration.token_wanted" in done.stderr
     assert f"--set {setting}.tokens.operate.file=FILE" in done.stderr
     assert not done.stdout
-
-
-def test_a_refusal_says_what_to_do_where_the_service_knows() -> None:
-    guard = Guard(ACCESS._replace(advise=lambda cause: f"mend {cause}"), RefusalLog(None))
-    refusal = guard.refusal(Request("GET", "/state", [(b"host", b"localhost")], "127.0.0.1", "127.0.0.1"))
-    assert refusal is not None
-    assert refusal["advice"] == "mend refused.no_token"

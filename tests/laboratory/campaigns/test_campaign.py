@@ -4,11 +4,11 @@ import math
 import os
 import shutil
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import distributed
+import numpy as np
 import pytest
 
 from laboratory.campaigns import campaign, workforce
@@ -17,29 +17,24 @@ from laboratory.campaigns.campaign import (
     configuration_of,
     evidence_of,
 )
-from laboratory.campaigns.rows import RowFile
+from laboratory.campaigns.rows import column, read_rows, write_rows
 from laboratory.campaigns.workforce import REACH_S
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
 
 pytestmark = pytest.mark.slow("campaigns start processes")
 
 
+CONFIGURED = Path("tests/laboratory/campaigns")  # any small directory
+
+
 def run_campaign(
-    directory: Path,
-    function: Any,
-    tasks: list[dict[str, Any]],
-    *,
-    scheduler: str | None,
-    title: str,
-    workers: int = 2,
-    fresh: bool = False,
+    out: Path, run: Any, tasks: list[dict[str, Any]], config_dir: Path = CONFIGURED, **options: Any
 ) -> list[dict[str, Any]]:
     """The rows of a campaign."""
-    request = CampaignRequest(Path("configs"), directory, scheduler=scheduler, workers=workers, fresh=fresh)
-    return campaign.run_campaign(request, function, tasks, title).rows
+    return campaign.run_campaign(CampaignRequest(config_dir, out, **options), run, tasks, "test").rows
 
 
-def measured(task: dict[str, Any]) -> dict[str, Any]:
+def measured(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     """A run that tells which process did it, fails for odd numbers, and breaks or dies when told to."""
     if task.get("odd"):
         raise MeasurementFailed("measurement.object_not_seen", "seen in 0 of 10 pictures\nand no more")
@@ -47,11 +42,10 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         raise ZeroDivisionError("a bug")
     if task.get("dies"):
         os._exit(1)
-    file = bytes([task["number"]])
-    return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
+    return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan}
 
 
-def resigning(task: dict[str, Any]) -> dict[str, Any]:
+def resigning(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     """A run during which its worker leaves the cluster for good."""
     worker = distributed.get_worker()
     worker.loop.add_callback(worker.close)
@@ -59,58 +53,50 @@ def resigning(task: dict[str, Any]) -> dict[str, Any]:
     return {}
 
 
-def scaled(factor: float, task: dict[str, Any]) -> dict[str, Any]:
-    return {"value": factor * task["number"]}
-
-
 def tasks(count: int, **more: Any) -> list[dict[str, Any]]:
     return [{"key": f"run-{n}", "number": n, "odd": n % 2 == 1} | more for n in range(count)]
 
 
 def test_a_campaign_runs_in_processes_of_its_own_resumes_and_tells_failures(tmp_path: Path) -> None:
-    rows = run_campaign(tmp_path, measured, tasks(4), scheduler=None, title="four")
+    rows = run_campaign(tmp_path, measured, tasks(4))
     assert [row["key"] for row in rows] == ["run-0", "run-1", "run-2", "run-3"]
     assert [row["twice"] for row in rows] == [0, None, 4, None]
     assert rows[1]["failure"] == "measurement.object_not_seen: seen in 0 of 10 pictures\nand no more"
     assert rows[0]["failure"] is None
     assert rows[0]["nothing"] is None
-    assert (tmp_path / rows[2]["trace.bin"]).read_bytes() == b"\x02"
     assert rows[0]["process"] != os.getpid()
     assert all(row["run_s"] >= 0.0 and row["cpu_s"] >= 0.0 for row in rows)
-    assert sorted(RowFile(tmp_path / "rows.csv").rows, key=lambda row: row["key"]) == rows
+    assert sorted(read_rows(tmp_path / "rows.csv"), key=lambda row: row["key"]) == rows
     # what is done is not done again, not even what failed: with the scheduler gone, nothing is asked of it
-    again = run_campaign(tmp_path, measured, tasks(4), scheduler="nonsense://x", title="four")
-    assert again == rows
+    assert run_campaign(tmp_path, measured, tasks(4), scheduler=MEASURES) == rows
 
 
 def test_a_lost_worker_and_a_bug_are_told_and_tried_again_when_resumed(tmp_path: Path) -> None:
     broken = [{"key": "a", "number": 1, "broken": True}, {"key": "b", "number": 2, "dies": True}]
-    first, second = run_campaign(tmp_path, measured, broken, scheduler=None, title="broken", workers=1)
+    first, second = run_campaign(tmp_path, measured, broken, workers=1)
     assert first["failure"] == "campaign.exception: ZeroDivisionError: a bug"
     assert second["failure"].startswith("campaign.worker_lost: ")
     with pytest.raises(ConfigurationError):  # so it would have been run
-        run_campaign(tmp_path, measured, broken, scheduler="nonsense://x", title="broken")
+        run_campaign(tmp_path, measured, broken, scheduler=MEASURES)
 
 
-def test_an_existing_scheduler_does_the_runs(tmp_path: Path) -> None:
-    with distributed.LocalCluster(
+def cluster() -> Any:
+    """A cluster of one worker, in this process."""
+    return distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
         protocol="tcp", host="127.0.0.1",
-    ) as cluster:  # fmt: skip
-        address = cluster.scheduler_address
-        rows = run_campaign(tmp_path, partial(scaled, 0.5), tasks(3), scheduler=address, title="three")
-        assert [row["value"] for row in rows] == [0.0, 0.5, 1.0]
+    )  # fmt: skip
 
 
-def test_workers_that_are_all_gone_are_not_waited_for(
+def test_an_existing_scheduler_does_the_runs_until_its_workers_have_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workforce, "_PATIENCE_S", 1.0)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
-        protocol="tcp", host="127.0.0.1",
-    ) as cluster, pytest.raises(LinkLost) as refused:  # fmt: skip
-        run_campaign(tmp_path, resigning, tasks(3), scheduler=cluster.scheduler_address, title="three")
+    with cluster() as there:
+        rows = run_campaign(tmp_path, measured, tasks(3), scheduler=there.scheduler_address)
+        assert [row["twice"] for row in rows] == [0, None, 4]
+        with pytest.raises(LinkLost) as refused:
+            run_campaign(tmp_path, resigning, tasks(3), scheduler=there.scheduler_address)
     assert refused.value.cause == "link.workers_lost"
 
 
@@ -122,7 +108,7 @@ def test_workers_that_are_all_gone_are_not_waited_for(
 def test_a_scheduler_that_is_not_there_is_told_soon(tmp_path: Path, scheduler: str, cause: str) -> None:
     began = time.monotonic()
     with pytest.raises((LinkLost, ConfigurationError)) as refused:
-        run_campaign(tmp_path, measured, tasks(1), scheduler=scheduler, title="none")
+        run_campaign(tmp_path, measured, tasks(1), scheduler=scheduler)
     assert refused.value.cause == cause
     assert scheduler in str(refused.value)
     assert time.monotonic() - began < REACH_S + 5.0
@@ -130,29 +116,18 @@ def test_a_scheduler_that_is_not_there_is_told_soon(tmp_path: Path, scheduler: s
 
 def test_a_key_given_twice_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as refused:
-        run_campaign(tmp_path, measured, [*tasks(1), *tasks(1)], scheduler=None, title="twice")
+        run_campaign(tmp_path, measured, [*tasks(1), *tasks(1)])
     assert refused.value.cause == "configuration.duplicate_task"
 
 
-def test_the_configuration_is_the_function_what_is_bound_to_it_and_the_task() -> None:
-    task = {"key": "a", "number": 1}
+def test_the_configuration_is_the_function_the_files_and_the_task(configured: Path, tmp_path: Path) -> None:
+    copied = shutil.copytree(configured, tmp_path / "elsewhere")
 
-    def hashed(function: Any, task: dict[str, Any] = task) -> str:
-        return configuration_of(evidence_of(function), task)
+    def hashed(function: Any, config_dir: Path = configured, **task: Any) -> str:
+        return configuration_of(evidence_of(function, config_dir), {"key": "a", "number": 1} | task)
 
-    assert hashed(partial(scaled, 0.5)) == hashed(partial(scaled, 0.5), dict(task))
-    others = {
-        hashed(partial(scaled, 0.5)),
-        hashed(partial(scaled, 0.6)),
-        hashed(measured),
-        hashed(measured, task | {"number": 2}),
-    }
-    assert len(others) == 4
-
-
-def read(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
-    """A run that reads a configuration file."""
-    return {"value": (config_dir / "plant.yaml").read_text()}
+    assert hashed(measured) == hashed(measured, copied), "the same files elsewhere are the same evidence"
+    assert len({hashed(measured), hashed(resigning), hashed(measured, number=2)}) == 3
 
 
 MEASURES = "nonsense://x"
@@ -171,17 +146,11 @@ def configured(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("edited", ["plant.yaml", "scenarios/one.yaml", "new.yaml"])
 def test_an_edited_configuration_file_measures_anew(tmp_path: Path, configured: Path, edited: str) -> None:
-    asked, function = tasks(1, scenario="one"), partial(read, configured)
-    rows = run_campaign(tmp_path, function, asked, scheduler=None, workers=0, title="one")
-    assert run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one") == rows
+    rows = run_campaign(tmp_path, measured, tasks(1), configured, workers=0)
+    assert run_campaign(tmp_path, measured, tasks(1), configured, scheduler=MEASURES) == rows
     (configured / edited).write_text("mass_kg: 2.0\n")
     with pytest.raises(ConfigurationError):
-        run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one")
-
-
-def test_the_same_files_elsewhere_are_the_same_evidence(tmp_path: Path, configured: Path) -> None:
-    copied = shutil.copytree(configured, tmp_path / "elsewhere")
-    assert evidence_of(partial(read, configured)) == evidence_of(partial(read, copied))
+        run_campaign(tmp_path, measured, tasks(1), configured, scheduler=MEASURES)
 
 
 def test_an_edited_source_file_measures_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,21 +165,19 @@ def test_an_edited_source_file_measures_anew(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_worker_with_other_sources_or_files_makes_no_rows(
-    tmp_path: Path, configured: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    function = partial(read, configured)
-    evidence = evidence_of(function)
-    monkeypatch.setattr(campaign, "evidence_of", lambda function: evidence | {"sources": "0"})
-    (row,) = run_campaign(tmp_path, function, tasks(1), scheduler=None, workers=1, title="one")
+    evidence = evidence_of(measured, CONFIGURED)
+    monkeypatch.setattr(campaign, "evidence_of", lambda *_: evidence | {"sources": "0"})
+    (row,) = run_campaign(tmp_path, measured, tasks(1), workers=1)
     assert row["failure"] == "campaign.other_worker: the worker's sources are not those of the client"
 
 
 def test_fresh_measures_what_is_there(tmp_path: Path) -> None:
-    run_campaign(tmp_path, measured, tasks(1), scheduler=None, workers=0, title="one")
-    (second,) = run_campaign(tmp_path, measured, tasks(1), scheduler=None, workers=0, title="one", fresh=True)
-    assert second["run_s"] is not None
-    assert len(RowFile(tmp_path / "rows.csv").rows) == 2
-    assert run_campaign(tmp_path, measured, tasks(1), scheduler=MEASURES, title="one") == [second]
+    run_campaign(tmp_path, measured, tasks(1), workers=0)
+    (second,) = run_campaign(tmp_path, measured, tasks(1), workers=0, fresh=True)
+    assert len(read_rows(tmp_path / "rows.csv")) == 2
+    assert run_campaign(tmp_path, measured, tasks(1), scheduler=MEASURES) == [second]
 
 
 @pytest.mark.parametrize(
@@ -219,25 +186,10 @@ def test_fresh_measures_what_is_there(tmp_path: Path) -> None:
      True, False, None, [1, 2.5, "x"]],
 )  # fmt: skip
 def test_a_row_is_read_back_as_it_was_written(tmp_path: Path, value: object) -> None:
-    file = RowFile(tmp_path / "rows.csv")
-    kept = file.append({"key": "a", "value": value})
-    file.append({"key": "b", "later": 2})
-    read = RowFile(tmp_path / "rows.csv").rows
-    assert kept["value"] == (None if value == "" else value)
-    assert type(kept["value"]) is (type(None) if value == "" else type(value))
-    assert read == [
-        {"key": "a", "value": kept["value"], "later": None},
-        {"key": "b", "value": None, "later": 2},
-    ]
-
-
-def test_a_line_that_was_cut_off_is_dropped_and_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "rows.csv"
-    file = RowFile(path)
-    file.append({"key": "a", "value": 1})
-    file.append({"key": "b", "value": 2})
-    path.write_bytes(path.read_bytes()[:-2])
-    file = RowFile(path)
-    assert [row["key"] for row in file.rows] == ["a"]
-    file.append({"key": "c", "value": 3})
-    assert path.read_text() == "key,value\na,1\nc,3\n"
+    write_rows(path, [{"key": "a", "value": value}, {"key": "b", "later": 2}])
+    first, second = read_rows(path)
+    assert first == {"key": "a", "value": None if value == "" else value, "later": None}
+    assert type(first["value"]) is (type(None) if value == "" else type(value))
+    assert second == {"key": "b", "value": None, "later": 2}
+    np.testing.assert_array_equal(column([first, second], "later"), [np.nan, 2.0])

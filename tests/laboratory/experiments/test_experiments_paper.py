@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from laboratory.campaigns.workforce import Task
-from laboratory.experiments.paper import comparison, figures
+from laboratory.experiments.paper import comparison
 from laboratory.experiments.paper.campaign import (
     PaperEyes,
     PaperSettings,
     comparison_cells,
     paper_task,
 )
-from laboratory.experiments.paper.comparison import compared, conclusions, residuals_tell
-from laboratory.experiments.paper.measurement import RememberingEyes, bench, measured_on
-from laboratory.experiments.paper.sight import Tracer
+from laboratory.experiments.paper.comparison import compared, conclusions
+from laboratory.experiments.paper.measurement import bench, measured_on
+from laboratory.experiments.paper.sight import RememberingEyes, TracedArm, traced_arrays
 from protocol.errors import MeasurementFailed
 from testbed.lockstep.clock import run
 
@@ -99,13 +99,6 @@ def test_a_run_that_did_not_get_there_is_not_under_a_centimetre() -> None:
     assert "5 of 6" in every.here
 
 
-def test_what_residuals_tell_is_a_question_of_ours_and_no_conclusion_of_the_paper() -> None:
-    shown = [match_row(seed, 1.0 + seed, 2.0 + seed, 9.0 + seed, 1.0) for seed in range(5)]
-    assert "rotation error +1.00; residual 3.0 mm" in residuals_tell(shown)
-    assert residuals_tell(shown[:2]) == ""
-    assert conclusions("table3", shown) == []
-
-
 def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
     looks = {}
     for eyes in (PaperEyes.OPENCV, PaperEyes.PIXELS):
@@ -118,19 +111,18 @@ def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
     assert looks["pixels"] < looks["opencv"] < 0.05
 
 
-def test_a_traced_measurement_notes_inputs_and_pictures(tmp_path: Path) -> None:
-    tracer = Tracer()
-    rig = bench(CONFIGS, task("line", 3, eyes=PaperEyes.MODEL), tracer)
+def test_a_traced_measurement_notes_inputs_and_pictures() -> None:
+    rig = bench(CONFIGS, task("line", 3, eyes=PaperEyes.MODEL), traces=True)
     row: dict[str, Any] = {}
-    tracer.result = measured_on(rig, "line", row)
-    (tmp_path / "trace.npz").write_bytes(tracer.as_npz(rig.world))
-    traced = figures.load_trace(tmp_path / "trace.npz")
+    match = measured_on(rig, "line", row)
+    assert isinstance(rig.arm, TracedArm)
+    traced = traced_arrays(rig.arm, rig.eyes, rig.world, match)
     assert len(traced["input_s"]) == 4  # orientation, circle, two inputs
     assert traced["corners_1"].shape == (19, 3)
     assert len(traced["look_s"]) == 4  # before and after the orientation, and after each input
     assert np.isfinite(traced["error_m"]).all(axis=1).mean() > 0.9
     assert row["input1_x_mm"] == pytest.approx(1e3 * traced["look_error_m"][-2][0])
-    assert comparison.worst(row, "input1") < 60.0
+    assert comparison.worst_mm([row], "input1") < 60.0
 
 
 class BlinkingEyes:

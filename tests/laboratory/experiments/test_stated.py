@@ -10,7 +10,7 @@ from controller.commissioning import commissioned_config
 from foundation.configuration import merged, parse_overrides
 from laboratory.experiments.positioning.corrected_run import adapting, settings_of
 from laboratory.experiments.positioning.own_commissioning import own_commissioning
-from laboratory.experiments.positioning.worlds import ARMS, STATED, WORLDS, WorldName
+from laboratory.experiments.positioning.worlds import ARMS, STATED
 from nominal_arm.commissioned import found_numbers
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
@@ -60,7 +60,7 @@ def test_a_machine_that_commissions_itself_finds_its_own_valve() -> None:
     settings = settings_of(CONFIGS, asked)
     plates = {"controller": {"valves": {"name": "mobile", "pressure_compensated": True}}}
     overrides = merged(parse_overrides(["plant.valve_set=mobile"]), plates)
-    found = own_commissioning(CONFIGS, overrides, 5, WORLDS[WorldName.LAB].eyes, [2])
+    found = own_commissioning(CONFIGS, overrides, 5, [2])
     valve = settings.plant.valves.of("tilt", settings.plant.actuators.tilt.rated_flow_l_min)
     _, _, supply_b, return_a = valve.deadband
     assert return_a > 1.03 * supply_b, "its return edge opens last"

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.integration.services import Running, until_healthy
+from tests.integration.services import Running
 from tests.longreach_ros2.bridge.rig import PYTHON, Talk, environment, needs_ros, watched
+from tests.support.crash_trials import until_healthy
 from tests.support.paths import CONFIGS, ROOT
 
 pytestmark = [pytest.mark.realtime, needs_ros]
@@ -18,7 +19,7 @@ DOMAIN = 64
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Talk, Running]]:
     with watched(tmp_path_factory.mktemp("watch"), DOMAIN) as started:
-        until_healthy(started[1])
+        until_healthy(started[1].face)
         yield started
 
 

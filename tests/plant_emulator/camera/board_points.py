@@ -5,7 +5,6 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.surroundings import (
     AnyBoardConfig,
-    CabinetConfig,
     CalibrationMarkerConfig,
     CheckerboardConfig,
 )
@@ -15,13 +14,11 @@ def board_points(config: AnyBoardConfig) -> NDArray[np.float64]:
     """Known points (n, 3) of a board in its own frame, metres.
 
     A marker's corners in ArUco's order; a checkerboard's and a ChArUco board's inner corners row by row from
-    the top left; a cabinet's knob, switch and key hole.
+    the top left.
     """
     if isinstance(config, CalibrationMarkerConfig):
         h = 0.5 * config.side_m * (1.0 + config.print_scale_error)
         return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-    if isinstance(config, CabinetConfig):
-        return np.array([[*place, 0.0] for place in (config.knob_m, config.switch_m, config.key_hole_m)])
     inner = isinstance(config, CheckerboardConfig)
     columns, rows = (config.columns, config.rows) if inner else (config.columns - 1, config.rows - 1)
     down, across = np.mgrid[0:rows, 0:columns]

@@ -38,6 +38,12 @@ def camera(overrides: dict[str, Any] | None = None) -> StereoCamera:
     return StereoCamera(config.camera, Scene(config), config.seed)
 
 
+def even_plate(middle_m: tuple[float, float], size_m: tuple[float, float], grey: float) -> dict[str, Any]:
+    """A passer of one grey that stands on the wall, in O."""
+    even = {"mean_grey": grey, "contrast_grey": 0.0, "velocity_m_s": [0.0, 0.0, 0.0]}
+    return even | {"start_m": [*middle_m, 1e-9], "size_m": list(size_m)}
+
+
 @cache
 def clean_camera() -> StereoCamera:
     """The shipped camera without blur, noise, vignetting and lighting gradient."""

@@ -1,8 +1,6 @@
-"""Frames lost, repeated, blind, markers covered: by configuration and by faults, to pixel and stamp."""
+"""Frames lost, repeated, blind, markers covered, to pixel and stamp."""
 
-import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,16 +19,15 @@ from plant_emulator.core.faults.kinds import (
 )
 from plant_emulator.core.mechanics.geometry import transform
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.camera_sender import decode_shot, encode_shot
 from protocol.errors import RequestRefused
 from tests.plant_emulator.camera.camera_world import clean_camera, scene_config, shipped_camera, start_view
 from tests.plant_emulator.camera.test_stereo_camera import seen_ids
 from tests.plant_emulator.plant_world import Driver, plant_config
 
 
-def exposures(seed: int = 7, **camera: Any) -> Exposures:
-    """Exposures of the shipped camera with changes."""
-    return Exposures(scene_config({"camera": camera}).camera, seed)
+def exposures(seed: int = 7) -> Exposures:
+    """Exposures of the shipped camera."""
+    return Exposures(scene_config().camera, seed)
 
 
 def captures(count: int) -> list[Capture]:
@@ -44,9 +41,9 @@ def captures(count: int) -> list[Capture]:
     return taken
 
 
-def shots(faults: Sequence[Sequence[Fault]], taken: Exposures | None = None) -> list[Shot]:
+def shots(faults: Sequence[Sequence[Fault]]) -> list[Shot]:
     """The shots of as many captures as there are entries in ``faults``."""
-    source = taken or exposures()
+    source = exposures()
     return [source.shot(capture, now) for capture, now in zip(captures(len(faults)), faults, strict=True)]
 
 
@@ -60,14 +57,13 @@ def test_a_healthy_camera_shows_every_capture_under_its_own_stamps() -> None:
 
 
 def test_frames_are_dropped_by_seed_and_number() -> None:
-    def delivered(seed: int, faults: list[Fault], **camera: Any) -> list[bool]:
-        source = exposures(seed, **camera)
+    def delivered(seed: int, faults: list[Fault]) -> list[bool]:
+        source = exposures(seed)
         return [source.shot(c, faults).delivered for c in captures(2000)]
 
-    by_config = delivered(7, [], dropped_frame_share=0.2)
-    assert np.mean(by_config) == pytest.approx(0.8, abs=0.03)
-    assert by_config == delivered(7, [FramesDropped(share=0.2)])
-    assert by_config != delivered(8, [FramesDropped(share=0.2)])
+    dropping: list[Fault] = [FramesDropped(share=0.2)]
+    assert np.mean(delivered(7, dropping)) == pytest.approx(0.8, abs=0.03)
+    assert delivered(7, dropping) == delivered(7, dropping) != delivered(8, dropping)
     assert not any(delivered(7, [FramesDropped()]))
     assert all(delivered(7, [SupplyLost()]))
 
@@ -94,15 +90,6 @@ def test_a_frozen_camera_may_hold_its_stamps_too() -> None:
 def test_a_camera_frozen_from_the_start_shows_its_first_picture() -> None:
     frozen: list[Fault] = [CameraFrozen()]
     assert [shot.shown.frame_id for shot in shots([frozen, frozen, frozen])] == [1, 1, 1]
-
-
-def test_frames_frozen_by_configuration_repeat_the_one_before() -> None:
-    taken = shots([[]] * 1000, exposures(frozen_frame_share=0.3))
-    repeated = [shot.shown.frame_id != shot.frame_id for shot in taken]
-    assert np.mean(repeated) == pytest.approx(0.3, abs=0.05)
-    for before, shot in itertools.pairwise(taken):
-        assert shot.shown.frame_id in (before.shown.frame_id, shot.frame_id)
-        assert shot.frame_id == before.frame_id + 1
 
 
 def test_what_a_camera_could_not_see_when_it_froze_it_never_sees() -> None:
@@ -152,20 +139,6 @@ def test_only_markers_that_are_here_can_be_covered() -> None:
     with pytest.raises(RequestRefused, match="marker_id = 17: here are 0, 1, 2, 3") as refusal:
         clean_camera().take(shot)
     assert refusal.value.cause == "refused.unknown_marker"
-
-
-def test_a_shot_crosses_to_the_renderer_whole() -> None:
-    faults: list[Fault] = [
-        CameraBlind(grey=3),
-        MarkerCovered(marker_id=0, share=0.123456789),
-        MarkerCovered(marker_id=2, side="top"),
-    ]
-    for shot in (*shots([[], faults, [CameraFrozen()]]),):
-        back = decode_shot(encode_shot(shot))
-        assert (back[:2], back[3:]) == (shot[:2], shot[3:])
-        assert back.shown[:2] == shot.shown[:2]
-        assert np.array_equal(back.shown.view[:2], shot.shown.view[:2])
-        assert np.array_equal(back.shown.motion.rates, shot.shown.motion.rates)
 
 
 def test_the_plant_knows_how_its_camera_moves() -> None:

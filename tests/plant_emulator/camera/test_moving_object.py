@@ -7,7 +7,6 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from plant_emulator.core.faults.kinds import ObjectMoves
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.camera_sender import decode_shot, encode_shot
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
@@ -52,11 +51,3 @@ def test_pictures_show_it_where_it_is_before_a_wall_that_stays() -> None:
 
 def shot(view: CameraView) -> Shot:
     return Shot(1, 5, Capture(1, 5, view), None, (), delivered=True)
-
-
-def test_where_it_is_reaches_the_renderer() -> None:
-    sent = shot(slid_view(0.02))
-    found = decode_shot(encode_shot(sent)).shown.view
-    assert found.X_WO is not None
-    assert np.array_equal(found.X_WO, sent.shown.view.X_WO)
-    assert decode_shot(encode_shot(shot(sent.shown.view._replace(X_WO=None)))).shown.view.X_WO is None

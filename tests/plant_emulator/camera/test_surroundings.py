@@ -1,4 +1,4 @@
-"""Depth steps, bare patches, rebar and passers: where they should be, in pictures and in the eye model."""
+"""Depth steps, bare patches and passers: where they should be, in pictures and in the eye model."""
 
 from typing import Any
 
@@ -89,45 +89,6 @@ def test_a_bare_patch_has_so_much_of_the_contrast_left() -> None:
     assert np.array_equal(bare[:, 700:], rough[:, 700:])
 
 
-def test_bars_stand_where_the_mat_says() -> None:
-    mat = {
-        "centre_m": [-0.6, 0.0],
-        "size_m": [0.4, 0.6],
-        "spacing_m": 0.1,
-        "diameter_m": 0.02,
-        "standoff_m": 0.1,
-    }
-    eyes = clean(wall=EVEN, rebar=[mat | {"grey": 20.0}])
-    view = wall_view(eyes.scene, 1.0)
-    picture = eyes.render_eye(LEFT, view, 1).astype(float)
-    _, row = column_of(eyes, view, -0.6, 0.05, 0.1)  # between two level bars
-    profile = (120.0 - picture[round(row), :460]) / 100.0
-    expected = [column_of(eyes, view, x, 0.05, 0.1)[0] for x in (-0.8, -0.7, -0.6, -0.5, -0.4)]
-    assert profile.sum() == pytest.approx(5 * 0.02 * eyes.config.lens.fx_px / 0.9, rel=0.02)
-    for column in expected:
-        near = np.arange(round(column) - 10, round(column) + 11)
-        assert (near * profile[near]).sum() / profile[near].sum() == pytest.approx(column, abs=0.1)
-
-
-def test_a_cable_hangs_between_its_ends_and_hides_what_is_behind() -> None:
-    ends = [[-0.9, 0.25, 0.1], [-0.2, 0.15, 0.1]]
-    eyes = clean(wall=EVEN, cables=[{"ends_m": ends, "sag_m": 0.12, "diameter_m": 0.03, "grey": 20.0}])
-    view = wall_view(eyes.scene, 1.0)
-    picture = eyes.render_eye(LEFT, view, 1).astype(float)
-    for share in (0.25, 0.5, 0.75):
-        x, y = -0.9 + 0.7 * share, 0.25 - 0.1 * share - 4.0 * 0.12 * share * (1.0 - share)
-        column, row = column_of(eyes, view, x, y, 0.1)
-        near = np.arange(round(row) - 25, round(row) + 26)
-        profile = (120.0 - picture[near, round(column)]) / 100.0
-        slope = (-0.1 - 4.0 * 0.12 * (1.0 - 2.0 * share)) / 0.7
-        thick = 0.03 * eyes.config.lens.fx_px / 0.9 * np.hypot(1.0, slope)
-        assert (near * profile).sum() / profile.sum() == pytest.approx(row, abs=0.7)
-        assert profile.sum() == pytest.approx(thick, rel=0.06)
-    assert len(eyes.scene.hiding(0.0)) == 16
-    with pytest.raises(ConfigurationError, match="before the wall"):
-        clean(cables=[{"ends_m": [[0.0, 0.0, 0.1], [0.5, 0.0, 0.0]]}])
-
-
 def test_what_passes_is_where_its_speed_has_brought_it() -> None:
     even = PERSON | {"contrast_grey": 0.0, "mean_grey": 220.0}
     eyes = clean(wall=EVEN, passers=[even])
@@ -187,7 +148,6 @@ def test_the_eye_models_wall_points_lie_on_faces_and_not_in_bare_patches() -> No
     ("overrides", "told"),
     [
         ({"passers": [PERSON | {"velocity_m_s": [0.0, 0.0, -0.2]}]}, "into the wall"),
-        ({"rebar": [{"centre_m": [0, 0], "size_m": [4.0, 4.0], "spacing_m": 0.05}]}, "more than 40 bars"),
         ({"wall": {"blocks": [{"centre_m": [0, 0], "size_m": [0.3, 0.3], "depth_m": 0.0}]}}, "greater than"),
         ({"wall": {"bare_patches": [{"centre_m": [0, 0], "radius_m": 3.0}]}}, "less than or equal to 2"),
     ],

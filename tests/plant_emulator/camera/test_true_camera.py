@@ -21,6 +21,7 @@ from tests.plant_emulator.camera.camera_world import (
     Matrix,
     camera,
     clean_camera,
+    even_plate,
     scene_config,
     start_view,
     wall_view,
@@ -132,12 +133,12 @@ def test_a_drifted_right_eye_shows_so_much_more_disparity_and_rows() -> None:
 @pytest.mark.parametrize(("mode_hz", "readout_ms"), [(60, 11.3), (30, 18.4), (15, 36.9)])
 def test_a_moving_edge_leans_by_speed_times_line_time(mode_hz: int, readout_ms: float) -> None:
     """The published times of the 720 rows; the skew of a straight edge is their share between two rows."""
-    plate = {"parent": "wall", "centre_m": [0.0, 0.0, 0.0], "size_m": [0.4, 4.0], "grey": 220.0}
+    plate = even_plate((0.0, 0.0), (0.4, 4.0), 220.0)
     dark = CLEAN["wall"] | {"contrast_grey": 0.0, "mean_grey": 60.0}
     pinhole = dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
     shutter = {"kind": "rolling", "mode_hz": mode_hz}
     keys = CLEAN["camera"] | {"lens": pinhole, "shutter": shutter}
-    eyes = camera(CLEAN | {"obstacles": [plate], "wall": dark, "camera": keys})
+    eyes = camera(CLEAN | {"passers": [plate], "wall": dark, "camera": keys})
     view = wall_view(eyes.scene, 1.0)
     speed = 0.7
     along = -eyes.scene.mounts.X_WO[:3, 0] * speed  # the camera goes left
@@ -226,7 +227,7 @@ def test_a_bent_plates_corners_stand_off_its_middle(direction_deg: float) -> Non
     [
         ({"stamps": {"jitter_ms": 20.0}}, "stamps.jitter_ms 20"),
         ({"rate_hz": 60.0, "shutter": {"kind": "rolling", "mode_hz": 15}}, "longer than a frame"),
-        ({"shutter": {"mode_hz": 20}}, "mode_hz 20"),
+        ({"shutter": {"mode_hz": 20}}, "mode_hz"),
         ({"lens": {"k1": -0.06}, "lens_difference": {"k1": -0.06}}, "lens [+] lens_difference: k1"),
         ({"lens_difference": {"cx_px": 51.0}}, "less than or equal to 50"),
         ({"drift": {"disparity_px": -0.1}}, "greater than or equal to 0"),

@@ -139,65 +139,6 @@ def whole(image: ValveImage) -> bytes:
     return struct.pack(">BHHB12H", 16, 0x800, 12, 24, *encode_valves(image))
 
 
-async def test_fc_23_answers_the_published_vector_in_form(bench: Bench) -> None:
-    """Read 2 at 0, write 3FFF 7FFF at 0x0800: four data bytes come back; half an image moves nothing."""
-    master = await connected(bench)
-    answer = await master.ask(bytes.fromhex("17 0000 0002 0800 0002 04 3FFF 7FFF"))
-    assert answer == b"\x17\x04" + struct.pack(">2H", *encode_sensors(SENSORS)[:2])
-    assert bench.written == []
-    assert bench.coupler.statistics.torn_images == 1
-    assert await master.ask(bytes.fromhex("03 0800 0002")) == bytes.fromhex("03 04 3FFF 7FFF")
-    await master.close()
-
-
-@pytest.mark.parametrize(
-    ("request_hex", "answer_hex"),
-    [
-        ("03 0000 0000", "83 03"),
-        ("03 0000 007E", "83 03"),
-        ("03 0029 0001", "83 02"),
-        ("10 0000 0001 02 0000", "90 02"),
-        ("10 0800 0002 02 0000", "90 03"),
-        ("17 0000 007E 0800 0001 02 0000", "97 03"),
-        ("05 0000 1234", "85 03"),
-        ("07", "87 01"),
-        ("63 0000", "E3 01"),
-        ("10 0802 0001 02 8000", "90 03"),
-    ],
-)
-async def test_answers_to_odd_requests(bench: Bench, request_hex: str, answer_hex: str) -> None:
-    master = await connected(bench)
-    assert await master.ask(bytes.fromhex(request_hex), unit=247) == bytes.fromhex(answer_hex)
-    assert bench.written == []
-    await master.close()
-
-
-async def test_a_whole_image_with_an_impossible_command_is_refused_whole(bench: Bench) -> None:
-    master = await connected(bench)
-    words = encode_valves(VALVES)
-    words[2] = 0x8000
-    assert await master.ask(struct.pack(">BHHB12H", 16, 0x800, 12, 24, *words)) == b"\x90\x03"
-    assert bench.written == []
-    assert await master.ask(bytes.fromhex("03 0800 000C")) == b"\x03\x18" + bytes(24)
-    await master.close()
-
-
-async def test_a_second_master_may_read_but_not_write(bench: Bench) -> None:
-    first, second = await connected(bench), await connected(bench)
-    assert (await first.ask(whole(VALVES)))[0] == 16
-    assert await second.ask(whole(VALVES)) == b"\x90\x06"
-    assert (await second.ask(bytes.fromhex("03 0000 0028")))[0] == 3
-    assert len(bench.written) == 1
-    await first.close()
-    for _ in range(100):
-        answer = await second.ask(whole(VALVES))
-        if answer[0] == 16:
-            break
-        await asyncio.sleep(0.01)
-    assert answer[0] == 16
-    await second.close()
-
-
 async def test_a_silent_coupler_swallows_whole_requests_and_keeps_its_place(bench: Bench) -> None:
     master = await connected(bench)
     write, read = whole(VALVES), bytes.fromhex("0300000001")

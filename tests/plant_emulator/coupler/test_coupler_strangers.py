@@ -5,7 +5,7 @@ import contextlib
 import socket
 import struct
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,8 +13,7 @@ import pytest
 
 from plant_emulator.core.layout import who_yields
 from plant_emulator.shell import coupler as limits
-from plant_emulator.shell.coupler import Coupler
-from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
+from plant_emulator.shell.coupler import SLICE, Coupler, CouplerConnection
 from protocol.process_image import ValveImage, encode_valves
 
 READ_PDU = bytes.fromhex("03 0000 0028")
@@ -310,15 +309,9 @@ class Guest:
     heard_ns: int
 
 
-def _guests() -> Iterator[Guest]:
-    yield Guest("a", 5, 10)
-    yield Guest("a", 0, 90)
-    yield Guest("b", 0, 80)
-    yield Guest("b", 7, 20)
-
-
 def test_who_yields() -> None:
-    a_old, a_new, b_new, b_old = guests = list(_guests())
+    rows = ("a", 5, 10), ("a", 0, 90), ("b", 0, 80), ("b", 7, 20)
+    a_old, a_new, b_new, b_old = guests = [Guest(*row) for row in rows]
     assert who_yields(guests, "a", None, 5, 3) is None
     assert who_yields(guests, "a", None, 5, 2) is a_new  # never served
     assert who_yields(guests, "c", None, 4, 2) is b_new  # of all, the oldest that was never served

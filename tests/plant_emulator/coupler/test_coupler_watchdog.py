@@ -4,7 +4,6 @@ import asyncio
 import io
 import socket
 import struct
-from collections.abc import Callable
 
 import pytest
 
@@ -79,66 +78,6 @@ def test_the_first_write_arms_and_expiry_latches_to_the_nanosecond() -> None:
         assert bench.ask(request) == f"{function | 0x80:02x}04"
     assert bench.expired
     assert len(bench.written) == 2
-
-
-def _reset_by(*words: int, masters: str = "aaaa") -> Callable[[Bench], None]:
-    def run(bench: Bench) -> None:
-        for word, master in zip(words, masters, strict=False):
-            bench.ask(struct.pack(">BHH", 6, 0x1121, word), master)
-
-    return run
-
-
-@pytest.mark.parametrize(
-    ("attempt", "works"),
-    [
-        (_reset_by(0xBECF, 0xAFFE), True),
-        (_reset_by(0xAFFE, 0xBECF, 0xAFFE), True),
-        (_reset_by(0xBECF, 0xBECF, 0xAFFE), True),
-        (_reset_by(0xBECF), False),
-        (_reset_by(0xAFFE), False),
-        (_reset_by(0xAFFE, 0xBECF), False),
-        (_reset_by(0xBECF, 0x0000, 0xAFFE), False),
-        (_reset_by(0xBECF, 0xAFFE, masters="ab"), False),
-    ],
-)
-def test_only_the_two_words_in_order_from_one_master_reset(
-    attempt: Callable[[Bench], None], works: bool
-) -> None:
-    bench = Bench()
-    bench.ask(WRITE)
-    bench.now_ns += 1000 * MS
-    assert bench.expired
-    attempt(bench)
-    assert bench.expired is not works
-
-
-@pytest.mark.parametrize(
-    "request_hex",
-    [
-        "06 0802 8000",
-        "10 0807 0001 02 8000",
-        "17 0000 0001 0802 0002 04 0000 8000",
-        "10 0800 0003 06 000900008000",
-    ],
-)
-def test_the_impossible_command_is_refused_when_it_comes_also_in_a_torn_image(request_hex: str) -> None:
-    bench = Bench()
-    bench.ask("06 0800 270F")  # the cycle at the start, not the one at the end: torn from here on
-    refused = f"{int(request_hex[:2], 16) | 0x80:02x}03"
-    assert bench.ask(request_hex) == refused
-    assert bench.ask("03 0800 000C") == "0318270f" + "0000" * 11
-    assert bench.written == []
-    # The word that makes the image whole is not blamed for the refused one, and the image acts.
-    assert bench.ask("06 080B 270F") == "06080b270f"
-    assert bench.written == [ValveImage(0x270F, 0, (0.0,) * 6)]
-
-
-@pytest.mark.parametrize("address", [0x0800, 0x0801, 0x0808, 0x080A, 0x080B, 0x080C])
-def test_outside_the_spools_the_same_word_is_like_any_other(address: int) -> None:
-    bench = Bench()
-    assert bench.ask(f"06 {address:04X} 8000") == f"06{address:04x}8000"
-    assert bench.ask("06 0802 8001") == "0608028001"
 
 
 async def test_outputs_go_to_zero_without_any_telegram_and_sooner_after_a_shorter_time() -> None:

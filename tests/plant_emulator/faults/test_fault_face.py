@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from foundation.event_log import EventLog
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.fault_execution import carry_out, fault_state, true_points
+from plant_emulator.core.fault_execution import carry_out
 from plant_emulator.core.faults.kinds import FAULTS
-from plant_emulator.core.faults.schedule import FaultState, MendOrder, Order, OrderMessage
+from plant_emulator.core.faults.schedule import LookOrder, Order, OrderMessage, PlantAnswer
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api
@@ -43,22 +43,13 @@ class NearPlant:
         self._plant = plant
         self._scene = Scene(scene_config())
 
-    async def state(self) -> FaultState:
-        """The state now."""
-        return FaultState.model_validate_json(fault_state(self._plant).model_dump_json())
-
-    async def arm_points_m(self) -> list[list[float]] | None:
-        """The arm now, where the truth is shown."""
-        return true_points(self._plant) if self.shows_truth else None
-
-    async def ask(self, order: Order) -> list[dict[str, Any]]:
-        """The faults that an order made or mended."""
+    async def ask(self, order: Order) -> PlantAnswer:
+        """What became of an order."""
         message = OrderMessage.model_validate_json(OrderMessage(number=1, order=order).model_dump_json())
-        answer = carry_out(message, self._plant, self._scene.cover).answer
-        assert answer is not None
+        answer = carry_out(message, self._plant, self._scene.cover, shows_truth=self.shows_truth)
         if answer.cause:
             raise RequestRefused(answer.cause, answer.detail)
-        return list(answer.concerned)
+        return PlantAnswer.model_validate_json(answer.model_dump_json())
 
 
 class Client:
@@ -143,18 +134,6 @@ def test_kinds_come_with_their_schema(face: Client) -> None:
     assert slow["properties"]["joint"]["enum"] == ["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
     assert slow["additionalProperties"] is False
     assert all(row["description"] for row in kinds.values())
-
-
-def test_faults_are_planned_in_simulated_time(face: Client, plant: Plant) -> None:
-    plant.advance(100 * MS)
-    order = {"fault": {"kind": "supply_lost"}, "start_after_s": 0.5, "duration_s": 0.25}
-    body = face.post("/faults", json=order).json()
-    assert (body["start_ns"], body["end_ns"]) == (600 * MS, 850 * MS)
-    assert face.get("/faults").json()["planned"] == [body]
-    plant.advance(500 * MS)
-    assert face.get("/faults").json()["active"] == [body]
-    plant.advance(250 * MS)
-    assert face.get("/faults").json()["active"] == []
 
 
 def test_everything_is_mended_at_once(face: Client, plant: Plant) -> None:
@@ -320,18 +299,13 @@ async def test_a_plant_that_says_nothing_is_told_as_such(monkeypatch: pytest.Mon
     with ours, theirs:
         link = fault_api.DeskLink(theirs)
         with pytest.raises(LinkLost, match="has not answered"):
-            await link.state()
-        with pytest.raises(LinkLost, match="has not answered"):
-            await link.ask(MendOrder(number=None))
-        late = (
-            '{"state": {"time_ns": 5, "active": [], "planned": []}, "answer": {"number": %d, "detail": "%s"}}'
-        )
-        asking = asyncio.create_task(link.ask(MendOrder(number=None)))
+            await link.ask(LookOrder())
+        asking = asyncio.create_task(link.ask(LookOrder()))
         await asyncio.sleep(0)
         for number in (1, 2):  # the first was given up, and answered late
-            ours.send((late % (number, "" if number == 2 else "late")).encode())
-        assert await asking == []
-        assert (await link.state()).time_ns == 5
+            answer = PlantAnswer(number=number, time_ns=5 * number, active=[], planned=[])
+            ours.send(answer.model_dump_json().encode())
+        assert (await asking).time_ns == 10
 
 
 async def _answer(port: int, request: str) -> bytes:

@@ -160,24 +160,12 @@ def test_planning_ahead_and_injecting_in_time_are_the_same_to_the_last_bit() -> 
     assert ahead.read() == in_time.read()._replace(plant_cycle=1)
 
 
-def test_the_schedule_refuses_what_cannot_be() -> None:
+def test_an_unknown_number_and_one_fault_too_many_are_refused() -> None:
     schedule = FaultSchedule()
-    for start_ns, duration_ns in ((9, None), (None, 0), (20, -5)):
-        with pytest.raises(RequestRefused) as refusal:
-            schedule.inject(SupplyLost(), 10, start_ns, duration_ns)
-        assert refusal.value.cause == "refused.fault_time"
-    schedule.inject(SupplyLost(), 10, 20, 10)
-    schedule.inject(SupplyLost(), 10, 30, 10)  # the one begins as the other ends
-    schedule.inject(ValveStuck(joint="lift"), 10, 25)
-    schedule.inject(ValveStuck(joint="tilt"), 10, 25)
-    for start_ns, duration_ns in ((15, 6), (15, None), (39, 1), (12, 100)):
-        with pytest.raises(RequestRefused) as refusal:
-            schedule.inject(SupplyLost(), 10, start_ns, duration_ns)
-        assert refusal.value.cause == "refused.fault_present"
     with pytest.raises(RequestRefused) as refusal:
         schedule.clear(99, 11)
     assert refusal.value.cause == "refused.no_such_fault"
-    for start in range(60):
+    for start in range(64):
         schedule.inject(CouplerSilent(), 11, 100 + start, 1)
     with pytest.raises(RequestRefused) as refusal:
         schedule.inject(PayloadDrop(), 11)

@@ -170,3 +170,37 @@ def test_a_pump_at_its_limit_gives_that_and_its_pressure_sags() -> None:
     filled = (float(stand.state[col.SUPPLY]) - before) / 1.5 * softness * float(c[col.C_LINE_VOLUME])
     assert drawn + filled == pytest.approx(float(c[col.C_FLOW_LIMIT]), rel=2e-3)
     assert stand.state[col.SUPPLY] / BAR <= stand.config.pump.pressure_bar - stand.config.pump.droop_bar
+
+
+def test_a_shut_column_of_oil_shortens_as_it_cools() -> None:
+    """dy/dt = α · dT/dt · V_a / A_a, dT/dt = −ΔT / τ at first; the oil's mass stays.
+
+    The rod's chamber stands at the return line's pressure, from which a check valve fills what shrinks.
+    """
+    on = {"errors": {"cooling_oil": {"enabled": True}}}
+    stand = resting_arm([0.0, 45.0, -60.0, 0.0, 0.0, 0.0], 100.0, on, {"valve_set": "mobile"})
+    stand.clamp_all_but(DRIVEN[1])
+    stand.smooth(1)
+    row, c = stand.model.actuators[1], stand.model.circuit
+    row[col.A_SPOOL_LEAKAGE], row[col.A_VISCOUS] = 0.0, 1e5  # nothing flows; stills the swing on the oil
+    warm = float(c[col.C_AMBIENT]) + 30.0
+    stand.state[col.TEMPERATURE] = c[col.C_REFERENCE]
+    stand.state[col.CHAMBER_TEMPERATURE + 1] = warm
+
+    def seen(s: Stand) -> Array:
+        s.rates()
+        y, p, chambers = s.work.flows[1, col.F_POSITION], s.state[col.PRESSURE_A + 1], s.state
+        shrunk = math.exp(-float(c[col.C_EXPANSION]) * (chambers[col.CHAMBER_TEMPERATURE + 1] - warm))
+        volume = float(row[col.A_DEAD_A] + row[col.A_AREA_A] * y)
+        return np.array([y, volume, volume * Oil(c).density(p) * shrunk])
+
+    stand.run(5.0, 5e-4)
+    before = seen(stand)
+    stand.run(20.0, 5e-4)
+    after = seen(stand)
+    k_s = -30.0 / stand.config.errors.cooling_oil.time_constant_s
+    want = float(c[col.C_EXPANSION]) * k_s * before[1] / float(row[col.A_AREA_A])
+    found = (after[0] - before[0]) / 20.0
+    print(f"rod {6e4 * found:.3f} mm/min, by the closed form {6e4 * want:.3f}")
+    assert found == pytest.approx(want, rel=0.03)
+    assert after[2] == pytest.approx(before[2], rel=1e-7)

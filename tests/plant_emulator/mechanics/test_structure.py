@@ -135,7 +135,7 @@ def test_a_load_beside_the_axis_twists_the_arm() -> None:
         (on(finer_bending={"arm_at": [0.6, 0.3]}), ["finer_bending.arm_at", "rise from 0 to 1"]),
         (on(finer_bending={"arm_at": [0.3]}), ["finer_bending.arm_at"]),
         (on(rocking_base={"gyration_m": [0.1, 0.1, 2.0]}), ["rocking_base.gyration_m", "no body"]),
-        (on(loose_slew={"friction": {"static_nm": 1.0}}), ["static_nm", "1.0", "coulomb_nm = 20"]),
+        (on(loose_slew={"friction": {"static_nm": 1.0}}), ["static_nm", "1.0", "Coulomb level 20"]),
         (on(bearing_tilt={"play_mm": -0.1}), ["bearing_tilt.play_mm", "-0.1"]),
         (on(encoder_eccentricity={"mrad": [0.1]}), ["encoder_eccentricity.mrad"]),
     ],

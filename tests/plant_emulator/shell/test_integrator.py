@@ -8,7 +8,7 @@ import pytest
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.integrator import Integrator, SlowCycle
+from plant_emulator.shell.ticker import Integrator, SlowCycle
 from tests.plant_emulator.camera.camera_world import CONFIGS
 
 pytestmark = pytest.mark.realtime
@@ -21,7 +21,12 @@ async def test_simulated_time_follows_the_periods_served() -> None:
     plant.advance(PERIOD_NS)
     start_ns = plant.time_ns
     deadlines: list[int] = []
-    integrator = Integrator(plant, PERIOD_NS, deadlines.append)
+
+    def step(deadline_ns: int) -> None:
+        plant.advance(PERIOD_NS)
+        deadlines.append(deadline_ns)
+
+    integrator = Integrator(PERIOD_NS, step)
     integrator.start()
     await asyncio.sleep(0.1)
     time.sleep(0.02)  # noqa: ASYNC251 - the loop must be blocked to miss periods

@@ -56,7 +56,8 @@ def running(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, 
         yield process, json.loads(process.stdout.readline())
     finally:
         process.terminate()
-        process.communicate(timeout=10.0)
+        if process.stderr is not None and not process.stderr.closed:
+            process.communicate(timeout=10.0)
 
 
 def receive_frame(sock: socket.socket) -> tuple[Any, bytes]:
@@ -95,8 +96,7 @@ def gone(pid: int, within_s: float) -> bool:
 
 @pytest.mark.slow("a plant starts as processes")
 def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
-    statistics = tmp_path / "statistics.json"
-    with running("--record-dir", str(tmp_path / "run"), "--statistics", str(statistics)) as (process, ready):
+    with running("--record-dir", str(tmp_path / "run")) as (process, ready):
         assert ready["event"] == "ready"
         assert ready["scheduling"] in ("fifo", "short_slice", "normal")
         master = ModbusClient("127.0.0.1", ready["modbus"]["port"], timeout=2.0, auto_open=True)
@@ -125,11 +125,12 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
         time.sleep(0.3)  # no master writes: the plant's own watchdog must have closed the valves
         master.close()
         process.terminate()
-        assert process.wait(READY_S) == 0
+        _, errors = process.communicate(timeout=READY_S)
+        assert process.returncode == 0
     check_recording(
         tmp_path / "run" / "truth.mcap", {header.frame_id: header.capture_ns for header in headers}
     )
-    figures = json.loads(statistics.read_text())
+    figures = json.loads(errors.splitlines()[-1])["statistics"]
     assert figures["scheduling"] == ready["scheduling"]
     assert figures["integrator"]["periods_served"] > 300
     assert figures["coupler"]["requests"] == 59

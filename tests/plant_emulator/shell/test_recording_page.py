@@ -14,7 +14,7 @@ from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import drawing
-from plant_emulator.shell.truth_message import columns_of, holes_of
+from plant_emulator.shell.truth_message import _COLUMNS, _SCALARS, holes_of
 from plant_emulator.shell.truth_recorder import TOPICS, TruthRecorder
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.pages import page, rows
@@ -47,7 +47,7 @@ def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
     assert tuple(table) == PlantTruth._fields
     truth = Plant(plant_config(), seed=1).truth()
     for name, (shape, told) in table.items():
-        columns = columns_of(name)
+        columns = _COLUMNS.get(name) or (_SCALARS.get(name, name),)
         message = f"`{columns[0]}`" + (f" … `{columns[-1]}`" if len(columns) > 1 else "")
         assert told.partition(":")[0] == message
         value = getattr(truth, name)

@@ -117,26 +117,6 @@ def test_camera_and_log_are_there(recorded: Path) -> None:
     assert [line.message for line in decoded(recorded, LOG)] == ["fault 1 began: supply_lost"]
 
 
-def test_the_session_says_what_wrote_it(recorded: Path) -> None:
-    with recorded.open("rb") as stream:
-        entries = {record.name: record.metadata for record in make_reader(stream).iter_metadata()}
-    assert entries["session"] == SESSION
-    assert SESSION["id"] == "7"
-    assert {"version longreach", "version numpy", "version python"} <= set(SESSION)
-
-
-def test_recording_does_not_change_the_plant() -> None:
-    seen, unseen = (Plant(plant_config(), 1) for _ in range(2))
-    for plant in (seen, unseen):
-        driver = Driver(plant)
-        for _ in range(5):
-            driver.run(0.01)
-            if plant is seen:
-                plant.truth(), plant.links()
-    assert np.array_equal(seen.truth().q, unseen.truth().q)
-    assert np.array_equal(seen.truth().pressures, unseen.truth().pressures)
-
-
 @needs_rerun
 def test_rerun_finds_every_topic(recorded: Path, tmp_path: Path) -> None:
     told = rerun(tmp_path, "mcap", "check", recorded)

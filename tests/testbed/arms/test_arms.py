@@ -1,6 +1,7 @@
 """Arms by name: layers of configuration, what `arm check` finds, and `--arm` on every command."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,7 @@ def commands(found: Any, path: str) -> dict[str, Any]:
 def test_every_command_that_reads_a_configuration_takes_an_arm() -> None:
     found = commands(typer.main.get_command(app), "longreach")
     reads = {path: command for path, command in found.items() if "config_dir" in names(command)}
-    assert len(reads) > 20
+    assert len(reads) > 15
     without = {path for path, command in reads.items() if not {"arm", "chosen"} & names(command)}
     assert without == set()
 
@@ -186,3 +187,17 @@ def test_the_interface_for_python_takes_an_arm() -> None:
         longreach.arm("rock_braker", config_dir=CONFIGS)
     crane = longreach.plant(arm="long_crane", config_dir=CONFIGS)
     assert crane.truth.X_BT[0, 3] == pytest.approx(8.3, abs=0.2)
+
+
+def test_a_broken_arm_is_named_and_the_others_are_listed(tmp_path: Path) -> None:
+    shutil.copytree(CONFIGS, tmp_path / "configs")
+    (tmp_path / "configs/arms/rock_breaker/plant.yaml").write_text("valves: [")
+    done = run(
+        "arm", "list", "--config-dir", str(tmp_path / "configs"), "--json", str(tmp_path / "arms.json")
+    )
+    found = json.loads((tmp_path / "arms.json").read_text())
+    listed = {arm["arm"] for arm in found["arms"]}
+    assert listed >= {"default", "long_crane"}
+    assert "rock_breaker" not in listed
+    assert "rock_breaker/plant.yaml" in "".join(found["broken"])
+    assert "left out: " in done.output

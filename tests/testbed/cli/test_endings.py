@@ -41,12 +41,12 @@ def test_a_host_without_an_address_is_named(arguments: tuple[str, ...]) -> None:
     assert "longreach: configuration.unknown_host: host 'no.such.host.invalid'" in done.stderr
 
 
-@pytest.mark.parametrize("step", ["propose", "go", "sample", "list", "solve", "resume"])
-def test_a_session_without_a_rig_says_what_to_start(step: str) -> None:
+@pytest.mark.parametrize("step", [("run", "monday"), ("list",), ("remove", "3")])
+def test_a_session_without_a_rig_says_what_to_start(step: tuple[str, ...]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as nobody:  # bound, never listening
         nobody.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{nobody.getsockname()[1]}"
-        done = ended("hand-eye", "session", step, "--url", url)
+        done = ended("hand-eye", "session", *step, "--url", url)
     assert done.exit_code == 2
     assert "longreach: link.rest: " in done.stderr
     assert "`longreach up` starts" in done.stderr
@@ -58,7 +58,7 @@ def test_a_session_without_a_rig_says_what_to_start(step: str) -> None:
         ("demo", "--lockstep", "--out", "{file}/runs"),
         ("up", "--free-ports", "--out", "{file}/runs"),
         ("experiment", "positioning", "--count", "1", "--out", "{file}/rows"),
-        ("doctor", "--json", "{file}/doctor.json"),
+        ("arm", "list", "--json", "{file}/arms.json"),
     ],
 )
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(
@@ -112,7 +112,7 @@ def test_ctrl_c_in_lockstep_leaves_no_empty_directory(tmp_path: Path) -> None:
         "demo", "--lockstep", "--out", str(tmp_path / "runs"), after=tmp_path / "runs" / "*"
     )
     assert status == 130
-    assert told.strip() == "longreach: ended by Ctrl-C; run again, it begins anew, in another directory"
+    assert told.strip() == "longreach: ended by Ctrl-C"
     assert not (tmp_path / "runs").exists()
 
 
@@ -124,7 +124,7 @@ def test_ctrl_c_in_a_campaign_keeps_the_rows_and_says_so(tmp_path: Path) -> None
     )
     assert status == 130
     assert f"rows are kept in {tmp_path}/rows.csv" in told
-    assert "longreach: ended by Ctrl-C; run again, it goes on from there" in told
+    assert "longreach: ended by Ctrl-C" in told
 
 
 @pytest.mark.timeout(400)

@@ -96,6 +96,24 @@ def test_a_pair_is_listed_drawn_and_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("x", "y", "told"),
+    [
+        (68.5, 30.0, "the eyes are exchanged"),
+        (60.0, 30.0, "it is one picture"),
+        (51.5, 34.0, "no rectified pair"),
+    ],
+)
+def test_a_pair_that_is_none_is_questioned(tmp_path: Path, x: float, y: float, told: str) -> None:
+    left, right = tmp_path / "left.png", tmp_path / "right.png"
+    cv2.imwrite(str(left), picture({3: (60.0, 30.0, 40.0)}))
+    cv2.imwrite(str(right), picture({3: (x, y, 40.0)}))
+    words = ["markers", str(left), "--right", str(right), "--dictionary", "DICT_4X4_1000"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert told in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
     ("arguments", "cause"),
     [
         (["{here}/none.png"], "configuration.bad_recording"),

@@ -59,7 +59,7 @@ def test_a_silent_link_centres_the_valves_and_latches_a_fault(exciting: Exciting
     world.to_controller = lambda datagrams: []
     for _ in range(110):
         world.clock.advance()
-    assert world.controller.excitation.inner.fault.code is FaultCode.REFERENCE_LINK_LOST
+    assert world.controller.program.excitation.inner.fault.code is FaultCode.REFERENCE_LINK_LOST
     assert np.all(world.plant.truth().valves == 0.0)
 
 
@@ -91,12 +91,12 @@ def test_a_stopped_joint_is_begun_anew_after_enable(exciting: Exciting) -> None:
     run(world.link.command(CommandCode.DISABLE))
     run(world.link.command(CommandCode.ENABLE))
     driven(world, 5)
-    assert world.controller.excitation.stroke == 0
+    assert world.controller.program.excitation.stroke == 0
 
 
 def test_the_deadband_of_a_drawn_valve_is_found(exciting: Exciting) -> None:
     world = exciting(5, "controller.excitation.ramps=2", "plant.valves.deadband=0.03")
-    controller = world.controller
+    controller = world.controller.program
     assert controller.plan is not None
     plan = controller.plan
     assert world.clock.advance_until(lambda: controller.excitation.finished(plan), 120.0)

@@ -10,7 +10,6 @@ from foundation.configuration import parse_overrides
 from laboratory.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from nominal_arm.commissioned import Commissioned
 from testbed.commissioning.command import CommissionRequest, run_commission
-from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.timeout(600)  # a minute of arm time and a look, on a busy machine
@@ -39,8 +38,4 @@ def test_a_commissioned_machine_ends_inside(tmp_path: Path) -> None:
     for edge in (found.valves.slew.raising, found.valves.slew.lowering):
         assert edge.deadband.value == pytest.approx(0.03, rel=0.05)
         assert abs(edge.deadband.value - 0.03) < 4.0 * edge.deadband.std
-    play = found.play_mrad.slew
-    assert play is not None
-    true = load_settings(CONFIGS, {}).plant.errors.backlash.half_width_mrad[0]
-    assert play.value == pytest.approx(true, rel=0.2)
     assert one_look_mm(*MACHINE, f"controller.commissioned={tmp_path / 'commissioned.yaml'}") < 2.0

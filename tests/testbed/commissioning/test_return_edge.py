@@ -36,7 +36,7 @@ def falling(pace: float, rng: np.random.Generator, held: float = 0.0) -> StrokeR
     zero = np.zeros_like(t)
     return StrokeRecord(
         kind=StrokeKind.RAMP, sense=1.0, t=t, u=u, turned=turned + rng.normal(0.0, 1.5e-5, len(t)), e=zero,
-        inlet=outlet, load=zero, q=turned, top=len(up), nominal=np.full_like(t, 1.2), e_by_outlet=e,
+        inlet=outlet, top=len(up), nominal=np.full_like(t, 1.2), e_by_outlet=e,
         outlet=outlet, fed_bar=outlet, air=zero,
     )  # fmt: skip
 
@@ -80,8 +80,8 @@ def test_the_file_says_which_edge_opens_last_and_follows_both() -> None:
     """Steep from the return edge on, then as the supply edge has it, which opened earlier."""
     some = Uncertain(0.05, 1e-3)
     found = EdgeFindings(
-        Uncertain(RETURN, 1e-4), some, some, some, gain=Uncertain(0.2, 2e-3), curvature=0.7, compliance=0.0,
-        flow=(), residual=2e-5, last="return", gap=0.015, meets=0.006,
+        Uncertain(RETURN, 1e-4), some, some, gain=Uncertain(0.2, 2e-3), curvature=0.7, residual=2e-5,
+        last="return", gap=0.015, meets=0.006,
     )  # fmt: skip
     edge = valve_edge(found, 0.06, "tilt.npz 0123")
     assert edge.deadband.recording == "tilt.npz 0123, by its return edge, which opens last"

@@ -24,20 +24,12 @@ class MujocoReader:
         mujoco.mj_kinematics(self.model, self._data)
         return transform(self._data.xmat[self._tool].reshape(3, 3), self._data.xpos[self._tool])
 
-    def acceleration(self, q: Array, rate: Array) -> Array:
-        self._data.qpos[:], self._data.qvel[:] = q, rate
-        mujoco.mj_forward(self.model, self._data)
-        return np.array(self._data.qacc)
-
 
 class PinocchioReader:
     """What Pinocchio makes of a document."""
 
     def __init__(self, path: Path) -> None:
-        if path.suffix == ".urdf":
-            self.model = pin.buildModelFromUrdf(str(path))
-        else:
-            self.model = pin.buildModelFromMJCF(str(path))
+        self.model = pin.buildModelFromUrdf(str(path))
         self._data = self.model.createData()
         self._tool = self.model.getFrameId(TOOL)
 

@@ -1,4 +1,4 @@
-"""Exports for planners, as Pinocchio and MuJoCo read them: frames, shapes, masses, limits, SRDF."""
+"""Exports for planners, as Pinocchio and MuJoCo read them: frames, shapes, masses, limits."""
 
 from collections import Counter
 from pathlib import Path
@@ -16,7 +16,7 @@ from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_
 from plant_emulator.core.model import build_model
 from testbed.cli.main import app
 from testbed.exports.arm_tree import RADIUS_M, nominal_tree, urdf
-from testbed.exports.planning import for_planning, pairs_left_out
+from testbed.exports.planning import for_planning
 from testbed.scenarios.scenario import Settings, load_settings
 from tests.support.paths import CONFIGS, ROOT
 from tests.testbed.exports.readers import PinocchioReader
@@ -76,7 +76,7 @@ def test_limits_are_the_drives_own(plain: Path, settings: Settings) -> None:
     assert np.all((levers > 0.25) & (levers < 0.38)), "a cylinder's lever is at most its crank"
 
 
-def test_shapes_are_read_and_the_pairs_left_out_are_pinocchios_too(plain: Path, tmp_path: Path) -> None:
+def test_shapes_are_read(plain: Path) -> None:
     model = PinocchioReader(plain).model
     shapes = pin.buildGeomFromUrdf(model, str(plain), pin.GeometryType.COLLISION)
     kinds = Counter(type(one.geometry).__name__ for one in shapes.geometryObjects)
@@ -84,22 +84,6 @@ def test_shapes_are_read_and_the_pairs_left_out_are_pinocchios_too(plain: Path, 
     assert rods >= 4
     assert kinds["Sphere"] == 2 * rods
     assert {one.geometry.radius for one in shapes.geometryObjects} == {RADIUS_M}
-    shapes.addAllCollisionPairs()
-    pairs = len(shapes.collisionPairs)
-    file = exported(tmp_path, "srdf")
-    pin.removeCollisionPairs(model, shapes, str(file))
-    assert len(shapes.collisionPairs) < pairs
-    pin.loadReferenceConfigurations(model, str(file))
-    assert np.allclose(np.degrees(model.referenceConfigurations["home"]), [0, 50, -75, 0, -25, 0])
-
-
-def test_a_pair_is_left_out_for_a_reason(settings: Settings) -> None:
-    tree = nominal_tree(settings.arm)
-    found = {(first, second): reason for first, second, reason in pairs_left_out(tree, 1)}
-    assert found[0, 1] == "Adjacent"
-    wide = [joint._replace(limits=(-3.1, 3.1)) for joint in tree.joints]
-    free = pairs_left_out(tree._replace(joints=tuple(wide)), 1)
-    assert (0, 3, "Never") not in free, "a forearm that turns all round meets the pillar"
 
 
 def test_masses_move_as_the_stiff_plant_does(settings: Settings, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A good file of samples spoiled in every way that is known, and what `hand-eye solve` answers to each."""
+"""A good file of samples spoiled, and what `hand-eye solve` answers to each."""
 
 import copy
 import json
@@ -35,7 +35,6 @@ class BadFile(NamedTuple):
     cause: str
     said: str
     asked: bool = False
-    suffix: str = ".json"
 
 
 def good_file(samples: int, seed: int) -> Document:
@@ -67,19 +66,6 @@ def _lengths(factor: float) -> Callable[[Array], Array]:
     return lambda X: stacks.transform(X[:, :3, :3], factor * X[:, :3, 3])
 
 
-def _transposed(X: Array) -> Array:
-    return stacks.transform(np.swapaxes(X[:, :3, :3], -1, -2), X[:, :3, 3])
-
-
-def _rolled(X: Array) -> Array:
-    q = np.roll(stacks.quaternion_from_rotation(X[:, :3, :3]), 1, axis=-1)
-    return stacks.transform(stacks.rotation_from_quaternion(q), X[:, :3, 3])
-
-
-def _mirrored(X: Array) -> Array:
-    return X @ np.diag([1.0, 1.0, -1.0, 1.0])
-
-
 def _shifted(good: Document) -> Document:
     cameras = [sample["camera"] for sample in good["samples"]]
     good["samples"] = good["samples"][:-1]
@@ -105,62 +91,22 @@ def _set(*path: Any, value: Any) -> Callable[[Document], Document]:
     return spoil
 
 
-def _still_camera(good: Document) -> Document:
-    good["samples"][3]["camera"] = good["samples"][2]["camera"]
-    return good
-
-
-def _one_axis(good: Document) -> Document:
-    """The hand only ever turned about its own z axis."""
-    hands, cameras = _poses(good, "hand"), _poses(good, "camera")
-    X_BT, X_CP = hands[0], cameras[0]
-    for k, sample in enumerate(good["samples"]):
-        turn = stacks.transform(stacks.exp_so3(np.array([0.0, 0.0, 0.1 * k])), np.array([0.01 * k, 0.0, 0.0]))
-        sample["hand"], sample["camera"] = (X_BT @ turn).tolist(), (stacks.inverse(turn) @ X_CP).tolist()
-    return good
-
-
 def _unrelated(good: Document) -> Document:
     order = np.random.default_rng(0).permutation(len(good["samples"]))
     return _with("camera", lambda X: X[order])(good)
 
 
-def _sample_twice(good: Document) -> Document:
-    good["samples"].append(good["samples"][0])
-    return good
-
-
-_HEADER = "hand_x_m,hand_y_m,hand_z_m,hand_qw,hand_qx,hand_qy,hand_qz,camera_x_m,camera_y_m,camera_z_m"
 _REFUSED, _FAILED = "refused.hand_eye.", "measurement.hand_eye."
 _MISREAD, _SCALE, _FEW = _FAILED + "misread", _FAILED + "scale", _FAILED + "too_few_samples"
 _HAND, _CAMERA = "hand", "camera"
-_FLAT = np.eye(3).tolist()
 
 BAD_FILES = (
     BadFile("cut off in the middle", lambda g: json.dumps(g)[:400], _REFUSED + "unreadable", "not JSON"),
-    BadFile("empty", lambda g: "", _REFUSED + "unreadable", "not JSON"),
     BadFile("no samples in it", _set("samples", value=[]), _FEW, "0 samples"),
     BadFile("two samples", lambda g: {**g, "samples": g["samples"][:2]}, _FEW, "at least 3"),
-    BadFile("a rotation for a pose", _set("samples", 2, _HAND, value=_FLAT), _REFUSED + "format", "got 9"),
-    BadFile("null in a pose", _set("samples", 2, _CAMERA, 0, 3, value=None), _REFUSED + "not_finite", "s3"),
-    BadFile("a word in a pose", _set("samples", 2, _CAMERA, 0, 3, value="x"), _REFUSED + "format", "s3"),
-    BadFile("a sample twice", _sample_twice, _REFUSED + "duplicate", "the same sample twice"),
-    BadFile("a camera that did not follow", _still_camera, _REFUSED + "stale_camera", "s3 and s4"),
-    BadFile("an unknown unit", _set("length_unit", value="inch"), _REFUSED + "units", "'inch'"),
-    BadFile("an unknown setup", _set("setup", value="eye-on-base"), _REFUSED + "format", "'eye-on-base'"),
-    BadFile("hand in mm", _with(_HAND, _lengths(1e3)), _REFUSED + "units", "in millimetres?"),
-    BadFile("mirrored axes", _with(_CAMERA, _mirrored), _REFUSED + "left_handed", "left-handed"),
-    BadFile("turned about one axis", _one_axis, _FAILED + "parallel_axes", "parallel"),
     BadFile("poses that do not belong together", _unrelated, _FAILED + "motions_differ", "belong"),
     BadFile("sides shifted by one", _shifted, _MISREAD, "shifted by one"),
     BadFile("the other setup", _set("setup", value="eye-to-hand"), _MISREAD, "the setup is eye-in-hand"),
-    BadFile("hand poses inverted", _with(_HAND, stacks.inverse), _MISREAD, "hand poses are inverted"),
-    BadFile("camera poses inverted", _with(_CAMERA, stacks.inverse), _MISREAD, "camera poses are inverted"),
-    BadFile("camera rotations transposed", _with(_CAMERA, _transposed), _MISREAD, "camera rotations are tr"),
-    BadFile(
-        "hand rotations transposed", _with(_HAND, _transposed), _MISREAD, "hand rotations are transposed"
-    ),
-    BadFile("quaternions in another order", _with(_HAND, _rolled), _MISREAD, "hand quaternions are wxyz"),
     BadFile("camera in m, taken for mm", _with(_CAMERA, _lengths(1e-3)), _SCALE, "in m beside a hand in mm"),
     BadFile("camera 25.4 times too small", _with(_CAMERA, _lengths(1.0 / 25.4)), _SCALE, "inches"),
     BadFile("square said 10 % too large", _with(_CAMERA, _lengths(1.1)), _SCALE, "another size"),
@@ -172,7 +118,7 @@ BAD_FILES = (
 @pytest.mark.parametrize("bad", BAD_FILES, ids=lambda bad: bad.name)
 def test_a_bad_file_is_answered_rightly(bad: BadFile, tmp_path: Path) -> None:
     made = bad.spoil(copy.deepcopy(good_file(8, 1)))
-    file = tmp_path / f"samples{bad.suffix}"
+    file = tmp_path / "samples.json"
     file.write_text(made if isinstance(made, str) else json.dumps(made), encoding="utf-8")
     if not bad.asked:
         with pytest.raises(LongreachError, match=re.escape(bad.said)) as refused:

@@ -11,7 +11,7 @@ from laboratory.experiments.hand_eye.scenes import HandEyeScene
 from protocol.errors import RequestRefused
 from testbed.hand_eye import trajectories
 from testbed.hand_eye.importer import FORMAT, ImportOptions, load
-from testbed.hand_eye.trajectories import PairingOptions, Trajectory
+from testbed.hand_eye.trajectories import Trajectory
 from tests.support.paths import DOCS
 from tests.vision_pc.hand_eye.data import exact_pairs, random_scene
 from vision_pc.config.choices import Setup
@@ -127,6 +127,7 @@ def spoiled(data: dict[str, Any], **changes: Any) -> dict[str, Any]:
     ("changes", "cause", "said"),
     [
         ({"settled": False}, "unsettled", "sample s2: taken before the arm had settled"),
+        ({"settled": "yes"}, "format", "true or false is wanted"),
         ({"marker_id": 17}, "marker_id", "sample s2: shows marker 17, marker 582 was asked for"),
         ({"hand": [1, 2, 3]}, "format", "sample s2: hand: 16 numbers are wanted, got 3"),
         ({"hand": "here"}, "format", "sample s2: hand: 16 numbers are wanted"),
@@ -197,22 +198,6 @@ def test_corners_travel_with_their_samples(tmp_path: Path, scene: HandEyeScene) 
         load(saved(tmp_path, data))
 
 
-CSV_HEADER = (
-    "name, hand_x_mm, hand_y_mm, hand_z_mm, hand_qw, hand_qx, hand_qy, hand_qz, "
-    "camera_x_m, camera_y_m, camera_z_m, camera_rx_deg, camera_ry_deg, camera_rz_deg, settled, marker_id"
-)
-
-
-def csv_text(scene: HandEyeScene) -> str:
-    lines = ["# six samples", CSV_HEADER]
-    for k, (H, P) in enumerate(zip(scene.X_BT, scene.P(), strict=True)):
-        q = stacks.quaternion_from_rotation(H[None, :3, :3])[0]
-        v = np.degrees(stacks.log_so3(P[None, :3, :3])[0])
-        values = [*(1e3 * H[:3, 3]), *q, *P[:3, 3], *v]
-        lines.append(", ".join([f"s{k}", *(f"{value:.12g}" for value in values), "yes", "582"]))
-    return "\n".join(lines)
-
-
 def test_the_documents_example_is_read(tmp_path: Path) -> None:
     text = (DOCS / "hand_eye.md").read_text(encoding="utf-8")
     example = text.split("```json\n")[1].split("```")[0]
@@ -220,36 +205,6 @@ def test_the_documents_example_is_read(tmp_path: Path) -> None:
     assert pairs.names == ("pose 1",)
     assert pairs.corners is not None
     assert np.isnan(pairs.corners.pixels[0, 2]).all()
-    header = text.split("### CSV")[1].split("```\n")[1].split("\n")[0]
-    empty = tmp_path / "header.csv"
-    empty.write_text(header, encoding="utf-8")
-    assert len(load(empty)) == 0
-
-
-def test_csv_is_read_by_its_header(tmp_path: Path, scene: HandEyeScene) -> None:
-    path = tmp_path / "samples.csv"
-    path.write_text(csv_text(scene), encoding="utf-8")
-    pairs = load(path, ImportOptions(marker_id=582))
-    np.testing.assert_allclose(pairs.H, exact_pairs(scene).H, atol=1e-10)
-    np.testing.assert_allclose(pairs.P, exact_pairs(scene).P, atol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("hand_x_mm", "hand_x_inch", "unknown key 'hand_x_inch'"),
-        ("hand_qw", "settled_2", "unknown key 'settled_2'"),
-        ("yes, 582", "no, 582", "sample s0: taken before"),
-        ("yes, 582", "yes, 583", "sample s0: shows marker 583"),
-        ("s1, ", "s1, x", "sample s1: hand: 3 numbers"),
-        ("s1, ", "s1, 1, ", "sample s1: 16 columns are wanted"),
-    ],
-)
-def test_bad_csv_is_named(tmp_path: Path, scene: HandEyeScene, old: str, new: str, said: str) -> None:
-    path = tmp_path / "samples.csv"
-    path.write_text(csv_text(scene).replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(RequestRefused, match=said):
-        load(path, ImportOptions(marker_id=582))
 
 
 def recording(offset_s: float = 0.0) -> tuple[HandEyeScene, Trajectory, Trajectory]:
@@ -281,11 +236,20 @@ def test_recordings_are_paired_and_their_clocks_aligned(tmp_path: Path, offset: 
     scene, hand, camera = recording(offset)
     hand = trajectories.load_tum(write_tum(tmp_path / "hand.tum", hand))
     camera = trajectories.load_tum(write_tum(tmp_path / "camera.csv", camera, ", "))
-    pairs, used = trajectories.pair(hand, camera, PairingOptions(offset_s=None))
+    pairs, used = trajectories.pair(hand, camera, None)
     assert used == pytest.approx(offset, abs=5e-4)
     assert 10 <= len(pairs) <= 60
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=2e-3)
-    pairs, _ = trajectories.pair(hand, camera, PairingOptions(offset_s=offset))
+    pairs, _ = trajectories.pair(hand, camera, offset)
+    np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-4)
+
+
+def test_a_camera_slower_than_its_recording_counts_each_pose_once() -> None:
+    scene, hand, camera = recording()
+    held = camera._replace(X=camera.X[np.arange(len(camera.X)) // 3 * 3])
+    pairs, _ = trajectories.pair(hand, held)
+    times = np.array([float(name.removeprefix("t=")) for name in pairs.names])
+    assert np.isin(np.round(times, 3), np.round(camera.time_s[::3], 3)).all()
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-4)
 
 
@@ -302,9 +266,9 @@ def test_unsorted_and_repeated_times_are_put_right(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("1 0 0 0 0 0 1", "line 2: 8 finite numbers are wanted, got 7"),
-        ("1 0 0 0 0 0 0 x", "line 2: not a number"),
-        ("1 0 0 nan 0 0 0 1", "line 2: 8 finite numbers"),
+        ("1 0 0 0 0 0 1", "line 2: 8 numbers are wanted, got 7"),
+        ("1 0 0 0 0 0 0 x", "line 2: 'x' is no finite number"),
+        ("1 0 0 nan 0 0 0 1", "line 2: 'nan' is no finite number"),
         ("1 0 0 0 0.5 0.5 0 0", "line 2: quaternion has norm 0.707"),
     ],
 )
@@ -322,20 +286,5 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
         trajectories.pair(hand, later)
     still = Trajectory(camera.time_s, np.repeat(camera.X[:1], len(camera.X), axis=0))
     with pytest.raises(RequestRefused, match="do not turn together") as caught:
-        trajectories.pair(hand, still, PairingOptions(offset_s=None))
+        trajectories.pair(hand, still, None)
     assert caught.value.cause == "refused.hand_eye.clocks"
-
-
-def test_the_camera_covariance_of_a_file_is_read_and_checked(tmp_path: Path, scene: HandEyeScene) -> None:
-    data = document(scene)
-    data["camera_matrix"] = [[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]]
-    data["camera_covariance"] = np.diag([1.0, 1.0, 4.0, 4.0]).tolist()
-    lens = load(saved(tmp_path, data)).lens
-    assert lens is not None
-    assert lens.K[0, 0] == 900.0
-    np.testing.assert_array_equal(np.diag(lens.covariance), [1.0, 1.0, 4.0, 4.0])
-    data["camera_covariance"] = np.diag(np.ones(9)).tolist()
-    assert load(saved(tmp_path, data)).lens is not None
-    data["camera_covariance"] = [1.0, 1.0]
-    with pytest.raises(RequestRefused, match="camera_covariance: 16 numbers are wanted"):
-        load(saved(tmp_path, data))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from laboratory.experiments.positioning.corrected_run import adapting
-from testbed.lockstep.simulated_measurements import SimulatedFrame
+from testbed.lockstep.simulated_odometry import SimulatedFrame
 from tests.support.paths import CONFIGS
 from tests.testbed.lockstep.test_simulated_measurements import Stage, noisy
 from vision_pc.core.perception.watch import Watcher
@@ -37,6 +37,7 @@ def legs(stage: Stage, per_leg: int = 12) -> list[SimulatedFrame]:
 
 def watched(stage: Stage, frames: list[SimulatedFrame]) -> Watcher[SimulatedFrame]:
     watcher = Watcher(stage.sensor, markers=True, odometry=True)
+    watcher.live = True
     for frame in frames:
         watcher.add(frame, np.eye(4))
     watcher.calibrate()
@@ -99,7 +100,7 @@ def test_odometry_of_a_long_way_gains_what_was_found(
 ) -> None:
     """Beyond the legs, but for a length that look and odometry share."""
     one, watcher = along_the_legs
-    observation = watcher.observation
+    observation = watcher.samples[-1].observation
     assert observation is not None
     off = []
     for previous in (observation, observation._replace(errors=None)):
@@ -113,7 +114,7 @@ def test_later_pictures_do_not_change_what_was_found(
     along_the_legs: tuple[Stage, Watcher[SimulatedFrame]],
 ) -> None:
     one, watcher = along_the_legs
-    before = watcher.observation
+    before = watcher.samples[-1].observation
     assert before is not None
     late = one.exposed(one.truth)._replace(capture_ns=before.capture_ns + 600_000_000_000)
     after = one.sensor.observe(late, before)

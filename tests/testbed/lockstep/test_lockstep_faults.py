@@ -1,13 +1,11 @@
 """Faults of the plant planned in simulated time: what controller and camera get, the same in every rerun."""
 
 import numpy as np
-import pytest
 
-from plant_emulator.core.faults.kinds import CameraFrozen, CouplerSilent, Fault, FramesDropped, ValveSlow
+from plant_emulator.core.faults.kinds import CouplerSilent, Fault, FramesDropped, ValveSlow
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_WATCHDOG_TRIPPED
 from protocol.reference_messages import Command, ReferencePose
-from testbed.lockstep.camera_side import Exposure, SentFrame
 from testbed.lockstep.clock import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.scenario import chosen_overrides, load_settings
@@ -22,16 +20,6 @@ def world_of(seed: int, *assignments: str) -> World:
     world = World(settings, seed, RunLog())
     world.connect()
     return world
-
-
-def film(world: World, frames: list[SentFrame]) -> None:
-    """Have every frame that the camera delivers from now on rendered into ``frames``."""
-
-    def view(exposure: Exposure) -> None:
-        if exposure.shot.delivered:
-            frames.append(world.camera.photograph(exposure))
-
-    world.camera.viewers.append(view)
 
 
 def until(world: World, time_ns: int) -> None:
@@ -74,36 +62,6 @@ def test_a_silent_coupler_faults_the_controller_and_the_plants_own_watchdog_shut
     assert np.linalg.norm(world.plant.truth().X_WT[:3, 3] - resting) < 5e-3
 
 
-@pytest.mark.parametrize(("stamps", "ages"), [("advance", False), ("hold", True)])
-def test_a_frozen_camera_repeats_the_picture_of_before(stamps: str, ages: bool) -> None:
-    world = moving(1)
-    frames: list[SentFrame] = []
-    world.plant.inject(CameraFrozen.model_validate({"stamps": stamps}), start_ns=750 * MS)
-    until(world, 650 * MS)
-    film(world, frames)
-    until(world, 950 * MS)
-    assert len(frames) == 3  # 700, and 800 and 900 frozen
-    for left, right in (frame[1:] for frame in frames[1:]):
-        assert np.array_equal(left, frames[0].left)
-        assert np.array_equal(right, frames[0].right)
-    stamped = [frame.header.capture_ns for frame in frames]
-    assert stamped == ([700 * MS] * 3 if ages else [700 * MS, 800 * MS, 900 * MS])
-
-
-def test_a_camera_that_froze_unwatched_shows_what_it_saw_last() -> None:
-    frozen, healthy = moving(1), moving(1)
-    frozen.plant.inject(CameraFrozen(), start_ns=620 * MS)
-    frames: list[SentFrame] = []
-    until(healthy, 550 * MS)
-    film(healthy, frames)
-    until(healthy, 600 * MS)
-    until(frozen, 850 * MS)
-    film(frozen, frames)
-    until(frozen, 900 * MS)
-    assert [frame.header.frame_id for frame in frames] == [6, 9]
-    assert np.array_equal(frames[0].left, frames[1].left)
-
-
 def test_planned_faults_rerun_to_the_last_bit() -> None:
     faults: list[Fault] = [ValveSlow(joint="lift", bandwidth_share=0.2), FramesDropped(share=0.5)]
     seen = []
@@ -126,12 +84,3 @@ def test_planned_faults_rerun_to_the_last_bit() -> None:
         assert told == [(c.phase, c.injection.fault.name) for c in world.plant.faults.changes]
     assert seen[0] == seen[1]
     assert seen[0][1] != seen[2][1]
-
-
-def test_dropped_frames_never_arrive() -> None:
-    world = moving(1)
-    frames: list[SentFrame] = []
-    film(world, frames)
-    world.plant.inject(FramesDropped(), start_ns=650 * MS, duration_ns=300 * MS)
-    until(world, 1_000 * MS)
-    assert [frame.header.frame_id for frame in frames] == [6, 10]

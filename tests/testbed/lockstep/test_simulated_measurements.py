@@ -177,8 +177,10 @@ def test_failures_end_in_their_causes_and_never_in_numbers() -> None:
     assert unseen.value.cause == "measurement.tool_not_seen"
     stage = Stage(noisy(lost_share=1.0))
     watcher = Watcher(stage.sensor, markers=False, odometry=True)
+    watcher.live = True
     for _ in range(5):
-        assert watcher.add(stage.exposed(stage.truth), np.eye(4)).X_C0C is None
+        watcher.add(stage.exposed(stage.truth), np.eye(4))
+    assert [sample.X_C0C for sample in watcher.samples] == [None] * 5
     with pytest.raises(MeasurementFailed) as lost:
         watcher.require()
     assert lost.value.cause == "measurement.odometry_lost"

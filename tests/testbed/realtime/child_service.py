@@ -1,6 +1,5 @@
 """A process that behaves as a service, or not: ``python -m tests.testbed.realtime.child_service HOW``."""
 
-import asyncio
 import json
 import signal
 import sys
@@ -8,7 +7,6 @@ import threading
 from types import FrameType
 
 from foundation.event_log import EventLog
-from foundation.service_main import signs_of_life
 
 
 def main(how: str) -> int:
@@ -36,15 +34,8 @@ def main(how: str) -> int:
         log = EventLog("service")
         log.write("noted", "warning", cause="oil.warm", detail="it is warm")
         log.write("stopped", "error", cause="oil.low", detail="the tank is half empty")
-    if how == "lives":
-        asyncio.run(_alive(ended))
     ended.wait()
     return 0
-
-
-async def _alive(ended: threading.Event) -> None:
-    async with signs_of_life():
-        await asyncio.to_thread(ended.wait)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from foundation.incidents import IncidentFile
-from testbed.realtime.child import INCIDENT_FILE, Service, ServiceFailed
+from testbed.realtime.child import INCIDENT_FILE, Child, Service, ServiceFailed
 from testbed.realtime.supervisor import Supervisor, supervised
 
 pytestmark = pytest.mark.realtime
@@ -57,7 +57,7 @@ def test_a_service_that_says_nothing_is_not_waited_for_for_ever(tmp_path: Path) 
     supervisor = Supervisor(tmp_path)
     try:
         with pytest.raises(ServiceFailed) as caught:
-            supervisor.start(service("silent"), timeout_s=0.5)
+            supervisor.start(service("silent"), say=print, timeout_s=0.5)
         assert caught.value.cause == "service.not_ready"
     finally:  # on a busy machine it may not even have begun to listen to signals
         assert supervisor.stop()["service"] in (0, -signal.SIGTERM)
@@ -65,7 +65,7 @@ def test_a_service_that_says_nothing_is_not_waited_for_for_ever(tmp_path: Path) 
 
 def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
     supervisor = Supervisor(tmp_path)
-    supervisor.start(service("stubborn"))
+    supervisor.start(service("stubborn"), say=print)
     child = supervisor.children["service"]
     assert child.end(timeout_s=0.3) == -signal.SIGKILL
     assert not alive(child.pid)
@@ -77,7 +77,7 @@ def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
         "import time; from pathlib import Path; from testbed.realtime.child import *\n"
         "from testbed.realtime.supervisor import *\n"
         f"s = Supervisor(Path({str(tmp_path)!r}))\n"
-        "s.start(Service('x', 'tests.testbed.realtime.child_service', ('good',)))\n"
+        "s.start(Service('x', 'tests.testbed.realtime.child_service', ('good',)), say=str)\n"
         "print(s.children['x'].pid, flush=True); time.sleep(60)"
     )
     parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
@@ -101,36 +101,10 @@ def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str
     return lines
 
 
-@pytest.mark.slow("a service stalls and recovers")
-def test_a_stalled_service_is_named_and_so_is_its_recovery(tmp_path: Path) -> None:
-    with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
-        stalled = supervisor.children["second"]
-        os.kill(stalled.pid, signal.SIGSTOP)
-        (line,) = told_until(supervisor, "stalled", 10.0)
-        assert line.startswith("second has stalled: no sign of life for 1.")
-        assert line.endswith(f"process {stalled.pid} is stopped by a signal")
-        assert told_until(supervisor, "never", 0.3) == []  # once
-        os.kill(stalled.pid, signal.SIGCONT)
-        assert told_until(supervisor, "goes on", 10.0) == ["second goes on"]
-
-
-def test_a_service_that_another_ends_is_started_anew_alone(tmp_path: Path) -> None:
-    recorded = Service("second", "tests.testbed.realtime.child_service", ("lives", "--record-dir", "out"))
-    with supervised([service("lives", "first"), recorded], tmp_path) as supervisor:
-        first, second = (child.pid for child in supervisor.children.values())
-        os.kill(second, signal.SIGTERM)
-        (line,) = told_until(supervisor, "anew", 20.0)
-        anew = supervisor.children["second"]
-        assert line == f"second was asked to end and is started anew: process {anew.pid}"
-        assert supervisor.children["first"].pid == first
-        assert anew.pid != second
-        assert anew.arguments == ("lives", "--record-dir", "out.2")
-        assert (tmp_path / "second.2.log").exists()
-
-
 @pytest.mark.slow("services start and crash")
 def test_a_service_that_crashes_is_started_anew_alone(tmp_path: Path) -> None:
-    with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
+    recorded = Service("second", "tests.testbed.realtime.child_service", ("good", "--record-dir", "out"))
+    with supervised([service("good", "first"), recorded], tmp_path) as supervisor:
         first, second = (child.pid for child in supervisor.children.values())
         os.kill(second, signal.SIGSEGV)
         crashed, ready = told_until(supervisor, "ready again", 20.0)
@@ -139,9 +113,26 @@ def test_a_service_that_crashes_is_started_anew_alone(tmp_path: Path) -> None:
         assert ready == f"second is ready again: process {anew.pid}; the arm stays disabled"
         assert supervisor.children["first"].pid == first
         assert anew.pid != second
+        assert anew.arguments == ("good", "--record-dir", "out.2")
+        assert (tmp_path / "second.2.log").exists()
     (noted,) = IncidentFile(tmp_path / INCIDENT_FILE).newest()
     assert (noted.service, noted.cause) == ("second", "service.crashed")
     assert noted.detail == f"{crashed}; it is started anew"
+
+
+def test_one_that_is_asked_to_end_has_not_crashed_and_one_that_is_never_ready_again_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never_ready(*_: object) -> None:
+        raise ServiceFailed("service.not_ready", "second in 900 s: it said nothing")
+
+    with supervised([service("good", "second")], tmp_path) as supervisor:
+        monkeypatch.setattr(Child, "wait_ready", never_ready)
+        os.kill(supervisor.children["second"].pid, signal.SIGTERM)
+        with pytest.raises(ServiceFailed, match="said nothing"):
+            told_until(supervisor, "never", 20.0)
+    (noted,) = IncidentFile(tmp_path / INCIDENT_FILE).newest()
+    assert noted.detail.startswith("second ended with status 0")
 
 
 @pytest.mark.slow("a service starts three times")

@@ -7,9 +7,9 @@ from typing import Any
 
 from mcap.records import Message
 
+from foundation.recording.contents import contents
 from foundation.recording.decoding import messages, walk
 from foundation.recording.mcap_file import McapFile
-from foundation.recording.recovery import contents
 
 Change = Callable[[str, int, bytes], bytes | None]
 

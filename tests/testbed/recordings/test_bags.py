@@ -96,7 +96,7 @@ def test_odometry_camera_check_and_hand_eye_read_what_was_in_the_bag(
     assert done.exit_code == 0, done.output
     assert f"4 pairs of {LEFT} and {RIGHT}" in done.output
     recorded = Recorded(to / "left", to / "right", to / "calibration.yaml")
-    found = list(read_pairs(recorded.files()))
+    found = [pair for pair in read_pairs(recorded.files()) if isinstance(pair, StereoPair)]
     assert [pair.capture_ns for pair in found] == [START_NS + k * PERIOD_NS for k in range(4)]
     for pair, own in zip(found, pairs, strict=True):
         assert np.array_equal(pair.left, own.left)
@@ -172,5 +172,35 @@ def test_raw_pictures_get_no_calibration_of_rectified_ones(tmp_path: Path) -> No
     ]
     done = read(bag(tmp_path, [ONE, OTHER, *infos]), tmp_path / "to")
     assert done.exit_code == 0, done.output
-    assert "no calibration" in done.output
+    assert "no calibration is written: CameraInfo of the left eye has distortion" in done.output
+
+
+CHANGED: dict[str, tuple[str, Any, str]] = {
+    "distortion": ("d", np.full(5, 0.01), "has distortion"),
+    "turn": ("r", cv2.Rodrigues(np.array([0.0, 0.01, 0.0]))[0].ravel(), "turns it"),
+    "intrinsics": ("k", np.array([500.0, 0, 600, 0, 500, 350, 0, 0, 1]), "another K than P"),
+    "projection": ("p", np.array([FX, 0, 639.5, -9.0, 0, FX, 340.0, 0, 0, 0, 1, 0]), "another K than P"),
+    "lens": ("pk", 1.05, "differ in fx, fy or cy"),
+}
+
+
+@pytest.mark.parametrize("what", CHANGED)
+@pytest.mark.parametrize("name", ["image_raw", "image_rect", "rectified/image"])
+def test_matrices_tell_rectified_pictures_never_the_name(what: str, name: str, tmp_path: Path) -> None:
+    field, value, words = CHANGED[what]
+    said: list[Said] = []
+    for eye in ("left", "right"):
+        told = info(START_NS, eye == "right")
+        if eye == "right" and field == "pk":
+            for part, columns in (("p", 4), ("k", 3)):
+                rows = getattr(told, part).reshape(3, columns) * np.array([[value], [1.0], [1.0]])
+                setattr(told, part, rows.ravel())
+        elif eye == "right":
+            setattr(told, field, value)
+        topic = f"/camera/{eye}/{name}"
+        said += [small(topic), (f"{topic.rpartition('/')[0]}/camera_info", told, START_NS)]
+    done = read(bag(tmp_path, said), tmp_path / "to")
+    assert done.exit_code == 0, done.output
+    assert words in done.output
+    assert not (tmp_path / "to" / "calibration.yaml").exists()
     assert not (tmp_path / "to" / "calibration.yaml").exists()

@@ -1,53 +1,11 @@
-"""Recordings of other programs become tables: names that collide, schemas in any order or not whole."""
+"""Recordings of other programs are read: schemas in any order or not whole."""
 
-import json
 from pathlib import Path
 
-import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from mcap.writer import Writer
-from typer.testing import CliRunner
 
-from testbed.cli.main import app
-from testbed.recordings.comparison import table_names, write_tables
-
-
-def test_topics_that_a_file_name_cannot_tell_apart_get_names_of_their_own(tmp_path: Path) -> None:
-    source = tmp_path / "two.mcap"
-    with source.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("Any", "jsonschema", b'{"type": "object"}')
-        for topic, count in (("/arm/state", 5), ("/arm_state", 7)):
-            channel = writer.register_channel(topic, "json", schema)
-            for k in range(count):
-                writer.add_message(channel, 1000 + k, json.dumps({"k": k}).encode(), 1000 + k)
-        writer.finish()
-    done = CliRunner().invoke(app, ["recording", "to-csv", str(source), "--out", str(tmp_path / "T")])
-    assert done.exit_code == 0, done.output
-    said = " ".join(done.output.split())
-    assert "arm_state.csv: 5 rows of /arm/state" in said
-    assert "arm_state_2.csv: 7 rows of /arm_state" in said
-    lengths = {path.name: len(path.read_text().splitlines()) - 1 for path in (tmp_path / "T").iterdir()}
-    assert lengths == {"arm_state.csv": 5, "arm_state_2.csv": 7}
-
-
-def test_no_two_names_are_alike() -> None:
-    topics = dict(enumerate(["/a/b", "a_b", "/A/B", "/a_b_2", "/", "a:b", "../x", "y" * 300]))
-    names = list(table_names(topics).values())
-    assert names[:5] == ["a_b.csv", "a_b_2.csv", "A_B_3.csv", "a_b_2_2.csv", "topic.csv"]
-    assert len({name.lower() for name in names}) == len(names)
-    assert max(map(len, names)) < 255
-    assert not any("/" in name or name.startswith(".") for name in names)
-
-
-def test_nothing_is_written_where_a_table_is_there(tmp_path: Path) -> None:
-    source = recorded(tmp_path, imports=True)
-    (tmp_path / "T").mkdir()
-    (tmp_path / "T" / "boom.csv").write_text("mine")
-    with pytest.raises(FileExistsError, match=r"boom\.csv"):
-        write_tables(source, tmp_path / "T")
-    assert [path.read_text() for path in (tmp_path / "T").iterdir()] == ["mine"]
+import longreach
 
 
 def recorded(directory: Path, imports: bool) -> Path:
@@ -79,12 +37,10 @@ def recorded(directory: Path, imports: bool) -> Path:
 
 
 def test_schemas_list_their_files_in_any_order(tmp_path: Path) -> None:
-    tables, left_out = write_tables(recorded(tmp_path, imports=True), tmp_path / "T")
-    assert (tables["boom.csv"].rows, left_out) == (5, [])
-    lines = (tmp_path / "T" / "boom.csv").read_text().splitlines()
-    assert lines[0] == "log_time_ns,publish_time_ns,at_ns,angle"
-    assert lines[3] == "1002,1002,2000000000,0.2"
+    boom = longreach.read(recorded(tmp_path, imports=True))["/boom"]
+    assert list(boom.columns) == ["at_ns", "angle"]
+    assert (boom.log_ns[2], boom["at_ns"][2], boom["angle"][2]) == (1002, 2_000_000_000, 0.2)
 
 
-def test_a_topic_whose_schema_lacks_a_file_is_left_out_by_name(tmp_path: Path) -> None:
-    assert write_tables(recorded(tmp_path, imports=False), tmp_path / "T") == ({}, ["/boom"])
+def test_a_topic_whose_schema_lacks_a_file_is_left_out(tmp_path: Path) -> None:
+    assert list(longreach.read(recorded(tmp_path, imports=False))) == []

@@ -13,9 +13,9 @@ import pytest
 from google.protobuf import descriptor_pb2
 from google.protobuf.descriptor import FieldDescriptor
 
+from foundation.recording.contents import contents
 from foundation.recording.decoding import class_in, messages
 from foundation.recording.mcap_file import Format
-from foundation.recording.recovery import contents
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 
 _SCALARS = {

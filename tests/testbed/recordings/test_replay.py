@@ -1,9 +1,8 @@
 """A recording replayed: identical, also with pictures rendered again; a flipped pixel found at its frame."""
 
-import json
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -16,11 +15,10 @@ from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import OwnFault
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.truth_recorder import TruthRecorder
-from protocol.errors import ConfigurationError
 from protocol.reference_messages import ReferencePose
 from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.rig import LockstepRig
-from testbed.recordings.command import ReplayRequest, run_replay
+from testbed.recordings.command import run_replay
 from testbed.recordings.comparison import ReplayComparison
 from testbed.recordings.perception_replay import (
     FRAME,
@@ -44,10 +42,6 @@ from vision_pc.shell.recording import vision_recorder as topics
 def replayed(path: Path, truth: Path | None = None) -> ReplayComparison:
     recording = recorded_vision(path)
     return PerceptionReplay(recording, pixels_for(recording, truth)).run()
-
-
-def request(path: Path, **given: Any) -> ReplayRequest:
-    return ReplayRequest(path, None, [], None, None)._replace(**given)
 
 
 @pytest.mark.slow("a run is replayed with every pixel")
@@ -84,7 +78,7 @@ class Shaken(OwnFault):
 
 def moving_frames(directory: Path, *faults: OwnFault) -> Path:
     """A recording of frames taken while the arm moves, by a camera that shows motion."""
-    scene = {"camera": {"motion_blur_samples": 2, "shutter": {"kind": "rolling"}}}
+    scene = {"camera": {"shutter": {"kind": "rolling"}}}
     settings = load_settings(CONFIGS, {"vision": {"recording": {"images": "none"}}, "scene": scene})
     rig = LockstepRig(settings, 1, RunLog())
     with closing(rig.record_in(directory, "session 7")):
@@ -115,7 +109,7 @@ def test_pictures_of_a_camera_that_shows_motion_are_rendered_again(
 
 def test_that_the_motion_was_not_recorded_is_said(tmp_path: Path) -> None:
     plant = Plant(plant_config(), seed=1)
-    scene = load(SceneConfig, CONFIGS / "scene.yaml", {"camera": {"motion_blur_samples": 2}})
+    scene = load(SceneConfig, CONFIGS / "scene.yaml", {"camera": {"shutter": {"kind": "rolling"}}})
     run_of = {"scene": scene.model_dump(mode="json")}
     with closing(TruthRecorder(tmp_path / "truth.mcap", run_of)) as recorder:
         recorder.capture(plant.truth(), 1, 0)
@@ -143,7 +137,7 @@ def test_one_flipped_bit_of_one_pixel_is_found_at_its_frame(recorded: RecordedRu
     assert (compared.first.kind, compared.first.number) == (FRAME, frames[4])
     assert "CRC-32 of the right eye's pixels: recorded '0x" in compared.first.in_words()
     assert compared.of[FRAME] - compared.alike[FRAME] == 1
-    assert not run_replay(request(path))
+    assert not run_replay(path)
 
 
 def test_a_pixel_that_moves_a_corner_shows_in_the_frame_s_detections(
@@ -180,7 +174,7 @@ def test_other_versions_are_compared_by_numbers_and_that_is_said(
 
     source = recorded.directory / FILES[2]
     path = edited(source, tmp_path / "vision.mcap", nudged, {"version numpy": "1.0"})
-    assert run_replay(request(path))
+    assert run_replay(path)
     told = capsys.readouterr().out
     assert "look: 2 of 2 alike within 1e-09" in told
     assert "numpy 1.0, here" in told
@@ -188,20 +182,6 @@ def test_other_versions_are_compared_by_numbers_and_that_is_said(
     compared = replayed(here)
     assert compared.first is not None
     assert compared.first.field == "X_CM[3]"
-
-
-def test_what_if_tells_what_moves(
-    recorded: RecordedRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = recorded.directory / FILES[2]
-    plot, figures = tmp_path / "moved.svg", tmp_path / "moved.json"
-    settings = ["vision.markers.offset_std_px=0.05"]
-    assert run_replay(request(path, settings=settings, plot=plot, json_file=figures))
-    assert "object in a look" in capsys.readouterr().out
-    assert plot.read_text().startswith("<?xml")
-    moved = {row["what"]: row for row in json.loads(figures.read_text())["moved"]}
-    assert moved["object in a frame"]["both"] == moved["object in a frame"]["recorded"] > 5
-    assert moved["object in a frame"]["largest_mm"] > 0.0
 
 
 def test_a_recording_may_be_named_from_where_it_lies(
@@ -231,8 +211,6 @@ def test_what_cannot_be_replayed_is_named(recorded: RecordedRun, tmp_path: Path)
     with pytest.raises(RecordingUnreadable) as refused:
         recorded_vision(recorded.directory / FILES[0])
     assert refused.value.cause == "recording.not_vision"
-    with pytest.raises(ConfigurationError, match="the settings of vision alone"):
-        run_replay(request(source, settings=["plant.payload.mass_kg=3"]))
 
 
 def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_goes(
@@ -241,7 +219,7 @@ def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_goes(
     whole = (recorded.directory / FILES[2]).read_bytes()
     path = tmp_path / "vision.mcap"
     path.write_bytes(whole[: len(whole) // 2])
-    assert not run_replay(request(path))
+    assert not run_replay(path)
     told = capsys.readouterr().out
     assert "not read, at byte" in told
     assert "first difference" not in told

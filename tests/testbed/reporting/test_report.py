@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
 from testbed.reporting.outcome import Errors, Outcome, Stage
-from testbed.reporting.report import OperationSpan, Picture, event_lines, spans, write_report
+from testbed.reporting.report import Picture, write_report
+from testbed.reporting.run_record import beginning
 
 
 def errors(x_mm: float, y_mm: float, z_mm: float) -> Errors:
@@ -29,11 +29,9 @@ def run(*after_looks: Errors, looks: int = 2) -> Outcome:
 
 
 @pytest.fixture
-def traces() -> plots.Traces:
-    time_s, view_s = np.linspace(0.0, 80.0, 900), np.linspace(0.0, 80.0, 300)
-    way = np.stack([3.9 + 0.003 * time_s, 0.1 * np.sin(time_s / 9), 1 + 0.1 * np.cos(time_s / 7)], 1)
-    joints = np.stack([np.sin(view_s / (5 + joint)) for joint in range(6)], 1)
-    return plots.Traces(time_s, way, 0.4 - 0.005 * way, view_s, way[::3], joints, joints + 1e-3)
+def trace() -> plots.ErrorTrace:
+    time_s = np.linspace(0.0, 80.0, 900)
+    return plots.ErrorTrace(time_s, np.stack([0.4 - 0.005 * time_s] * 3, 1))
 
 
 @pytest.mark.parametrize(
@@ -48,47 +46,36 @@ def traces() -> plots.Traces:
 def test_the_verdict_is_about_true_x_and_y_after_the_last_look(last: Errors, passed: bool) -> None:
     made = run(errors(9.0, 9.0, 9.0), last)
     assert made.passed is passed
-    assert ("NOT within" in outcomes.verdict(made)) is not passed
+    assert ("NOT within" in made.verdict) is not passed
 
 
 def test_a_run_that_did_not_get_to_its_last_look_has_not_passed() -> None:
     made = run(errors(1.0, 1.0, 1.0))
     assert not made.passed
-    assert "look 2 was not reached; the last stage was: look 1" in outcomes.verdict(made)
+    assert "look 2 was not reached; the last stage was: look 1" in made.verdict
 
 
 EVENTS: list[dict[str, object]] = [
     {"time_ns": 5_000, "event": "operation_queued", "kind": "look", "service": "vision_pc", "level": "info"},
-    {"time_ns": 2_000_005_000, "event": "operation_ended", "kind": "look", "problem": None},
-    {"time_ns": 2_000_005_000, "event": "operation_queued", "kind": "move"},
     {"time_ns": 3_000_005_000, "event": "<script>alert(1)</script>", "level": "warning", "detail": "late"},
-    {"time_ns": 4_000_005_000, "event": "operation_ended", "problem": {"cause": "link.lost"}},
 ]
 
 
-def reported(directory: Path, traces: plots.Traces) -> str:
+def reported(directory: Path, trace: plots.ErrorTrace) -> str:
     made = run(errors(1.0, 1.0, 1.0), errors(1.0, -2.0, 3.0))
     _, png = cv2.imencode(".png", np.full((72, 128, 3), 90, np.uint8))
-    path = write_report(directory, made, traces, [Picture("before & after", png.tobytes())], EVENTS)
+    path = write_report(
+        directory, made, trace, [Picture("before & after", png.tobytes())], EVENTS, beginning()
+    )
     return path.read_text(encoding="utf-8")
 
 
-def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, traces: plots.Traces) -> None:
-    html = reported(tmp_path, traces)
-    assert len(re.findall(r'src="data:image/jpeg;base64,', html)) == len(re.findall(r"\bsrc=", html)) == 1
-    assert html.count("<svg") == 5
+def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, trace: plots.ErrorTrace) -> None:
+    html = reported(tmp_path, trace)
+    assert len(re.findall(r'src="data:image/jpeg;base64,', html)) == len(re.findall(r"\bsrc=", html)) == 2
     assert not re.findall(r'(?:src|href)="(?:https?:)?//', html)
     assert "<script>" not in html
     assert "within ±5 mm in x and y" in html
     assert "before &amp; after" in html
     assert json.loads((tmp_path / "figures.json").read_text())["passed"] is True
     assert json.loads((tmp_path / "events.jsonl").read_text().splitlines()[0]) == EVENTS[0]
-
-
-def test_operations_are_spans_and_a_failed_one_has_its_cause() -> None:
-    look, move = OperationSpan("look", 0.0, 2.0, ""), OperationSpan("move", 2.0, 4.0, "link.lost")
-    assert spans(EVENTS) == [look, move]
-    assert spans(EVENTS[:4])[-1] == OperationSpan("move", 2.0, 3.0, "has not ended")
-    lines = event_lines([*EVENTS, {"time_ns": 6_000, "event": "state"}])
-    assert len(lines) == len(EVENTS)
-    assert (lines[3].at_s, lines[3].level, lines[3].words) == (3.0, "warning", "detail late")

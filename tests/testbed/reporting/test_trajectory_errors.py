@@ -4,9 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from protocol.errors import ConfigurationError
-from testbed.reporting.trajectory_errors import errors_of_maps, read_tum, trajectory_errors
+from protocol.errors import ConfigurationError, RequestRefused
+from testbed.hand_eye.trajectories import load_tum
+from testbed.reporting.trajectory_errors import errors_of_maps, trajectory_errors
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
@@ -50,6 +52,28 @@ def test_one_jump_is_one_error_from_pose_to_pose() -> None:
     assert errors.ate_mm > 100.0
 
 
+def test_a_truth_in_another_reading_is_named() -> None:
+    times_s, true = truth()
+    noisy = poses([se3.transform(X[:3, :3], X[:3, 3] + 1e-3 * np.sin(7.0 * k)) for k, X in enumerate(path())])
+    for k, turn in enumerate(Rotation.create_group("O").as_matrix().round()):
+        written = true @ se3.transform(turn, np.zeros(3))
+        if np.allclose(turn, np.eye(3)):
+            assert trajectory_errors(noisy, times_s, written, "t").rpe_mm < 2.0
+            continue
+        with pytest.raises(
+            ConfigurationError, match=r"t: RPE .* mm if its rotations are of a camera with axes"
+        ):
+            trajectory_errors(noisy, times_s, written, f"t{k}"[:1])
+    with pytest.raises(ConfigurationError, match="of the world in the camera"):
+        trajectory_errors(noisy, times_s, np.linalg.inv(true), "t")
+    q = np.roll(Rotation.from_matrix(true[:, :3, :3]).as_quat(), 1, axis=1)  # w x y z, taken for x y z w
+    wrong = np.stack(
+        [se3.transform(R, X[:3, 3]) for R, X in zip(Rotation.from_quat(q).as_matrix(), true, strict=True)]
+    )
+    with pytest.raises(ConfigurationError, match="quaternions are w"):
+        trajectory_errors(noisy, times_s, wrong, "t")
+
+
 def test_each_map_is_judged_and_a_short_one_spoils_no_other() -> None:
     maps = {0: poses(path())[:2], 1: poses(path())[5:]}
     errors = errors_of_maps(maps, *truth(), "truth")
@@ -65,9 +89,9 @@ def test_truth_that_does_not_fit_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="do not overlap"):
         trajectory_errors(poses(path()), times + 1000.0, true, "truth")
     (tmp_path / "t.tum").write_text("0 1 2 3\n")
-    with pytest.raises(ConfigurationError, match="4 columns"):
-        read_tum(tmp_path / "t.tum")
-    (tmp_path / "t.tum").write_text("1 4 5 6 0 0 0 2\n0 1 2 3 0 0 1 0\n")
-    seconds, found = read_tum(tmp_path / "t.tum")
-    assert seconds.tolist() == [0.0, 1.0]
+    with pytest.raises(RequestRefused, match="line 1: 8 numbers are wanted, got 4"):
+        load_tum(tmp_path / "t.tum")
+    (tmp_path / "t.tum").write_text("1 4 5 6 0 0 0 1\n0 1 2 3 0 0 1 0\n2 4 5 6 0 0 0 1\n")
+    seconds, found = load_tum(tmp_path / "t.tum")
+    assert seconds.tolist() == [0.0, 1.0, 2.0]
     np.testing.assert_allclose(found[0], se3.transform(np.diag([-1.0, -1.0, 1.0]), (1, 2, 3)), atol=1e-12)

@@ -1,8 +1,10 @@
 """What a console is shown: alarms from beginning to end, pixels of the overlay, the arm's line."""
 
-import math
 import re
+import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from plant_emulator.shell import fault_api
 from protocol.faults import FAULT_TEXTS, FaultCode, GroupState, Reason
 from tests.support.paths import CONFIGS
 from tests.vision_pc import synthetic
+from tests.vision_pc.shell.loopback_controller import until
 from tests.vision_pc.synthetic_station import CAMERA, TOOL_ID, bench, observed
 from vision_pc.application.console.advice import advice
 from vision_pc.application.console.alarms import (
@@ -30,8 +33,8 @@ from vision_pc.application.console.alarms import (
     Condition,
     alarm_json,
 )
-from vision_pc.application.console.overlay import PredictedEllipse, overlay
-from vision_pc.application.console.overview import Overview, conditions, ellipse_of, glimpse, told_by
+from vision_pc.application.console.overlay import overlay
+from vision_pc.application.console.overview import Overview, conditions, lasting, predicted_by
 from vision_pc.application.ports import Seen
 from vision_pc.core.types import Look
 
@@ -82,9 +85,7 @@ def test_what_happened_is_kept_and_what_is_kept_is_bounded() -> None:
     assert "markers" in newest["advice"]
 
 
-def test_overload_is_told_first_of_what_it_may_have_caused() -> None:
-    assert advice("link.camera_silent", overloaded=True).startswith("This machine does not keep up")
-    assert advice("refused.no_token", overloaded=True) == advice("refused.no_token")
+def test_a_motion_that_a_fault_ended_has_the_faults_advice() -> None:
     assert advice("refused.fault_overrun") == advice("fault.overrun")
 
 
@@ -112,24 +113,26 @@ def test_no_cause_that_the_api_answers_falls_through_to_its_area() -> None:
 
 
 @pytest.mark.realtime
-async def test_what_is_wrong_is_found_in_a_glimpse() -> None:
+async def test_what_is_wrong_is_found() -> None:
     async with bench() as made:
-        assert conditions(glimpse(made.station)) == {}
-        made.station.overload = lambda: "3 % late"
-        seen = glimpse(made.station)
-        assert seen.state is not None
-        broken = seen.state._replace(group_state=GroupState.ERROR_STOP, fault=FaultCode.OVERRUN, flags=0)
-        silent = seen.camera._replace(trouble="link.camera_silent")
-        wrong = conditions(seen._replace(state=broken, camera=silent, recording=False))
-        assert {cause: condition.priority for cause, condition in wrong.items()} == {
+        rig = made.station
+        assert conditions(rig) == {}
+        state = rig.controller.state
+        broken = state._replace(group_state=GroupState.ERROR_STOP, fault=FaultCode.OVERRUN, flags=0)
+        silent = rig.camera.status()._replace(trouble="link.camera_silent")
+        stub: Any = SimpleNamespace(
+            incidents=rig.incidents,
+            doubts=rig.doubts,
+            log=SimpleNamespace(healthy=False),
+            controller=SimpleNamespace(state=broken, heard_at_s=0.0),
+            camera=SimpleNamespace(status=lambda: silent),
+        )
+        assert {cause: condition.priority for cause, condition in conditions(stub).items()} == {
             "fault.overrun": URGENT,
             "link.plant_silent": URGENT,
             "link.camera_silent": HIGH,
             "recording.unwritable": HIGH,
-            "machine.overloaded": LOW,
         }
-        lost = conditions(seen._replace(state=None, trouble=("link.silent", "no state")))
-        assert lost["link.silent"] == Condition(URGENT, "no state")
 
 
 @pytest.mark.realtime
@@ -141,11 +144,45 @@ async def test_what_became_of_the_services_is_an_alarm_once_and_stands_in_the_st
         made.station.incidents = lambda: (crash,)
         overview = Overview(made.station.links)
         for now_s in (100.0, 101.0):
-            overview.note(now_s, glimpse(made.station))
-        (row,) = overview.document(glimpse(made.station), None)["alarms"]
+            overview.note(now_s, made.station)
+        (row,) = overview.document(made.station, None)["alarms"]
         assert (row["cause"], row["began_at"], row["detail"]) == (crash.cause, 90.0, crash.detail)
         assert "log" in row["advice"]
         assert (await made.client.get("/state")).json()["incidents"] == [crash._asdict()]
+
+
+@pytest.mark.realtime
+async def test_a_crash_stands_first_until_the_service_is_heard_again() -> None:
+    async with bench(link_timeout_ms=400) as made:
+        link, overview = made.station.controller, Overview(made.station.links)
+        made.silence()
+        crash = ServiceIncident(time.time(), "controller", "service.crashed", "controller crashed")
+        made.station.incidents = lambda: (crash,)
+        await until(lambda: not link.connected)
+        overview.note(crash.at_s + 1.0, made.station)
+        first, second = overview.document(made.station, None)["alarms"]
+        assert (first["cause"], first["began_at"], first["ended_at"]) == (crash.cause, crash.at_s, None)
+        assert second["cause"].startswith("link.")
+        health = await made.client.get("/health")
+        assert (health.status_code, health.json()["controller"]) == (503, False)
+        assert health.json()["detail"].startswith("controller crashed; not answering: controller; link.")
+        made.controller.muted = False
+        await until(lambda: link.connected and not lasting(made.station))
+        for later_s in (2.0, 9.0):
+            overview.note(crash.at_s + later_s, made.station)
+        rows = overview.document(made.station, None)["alarms"]
+        assert {row["cause"]: row["ended_at"] is None for row in rows}[crash.cause] is False
+        assert (await made.client.get("/health")).status_code == 200
+
+
+@pytest.mark.realtime
+async def test_a_crash_of_the_plant_is_over_with_its_first_picture() -> None:
+    async with bench() as made:
+        crash = ServiceIncident(time.time() - 5.0, "plant_emulator", "service.crashed", "plant crashed")
+        own = ServiceIncident(time.time(), "vision_pc", "service.crashed", "vision crashed")
+        made.station.incidents = lambda: (crash, own)
+        for made.eyes.age_ms, expected in ((None, [crash]), (5100.0, [crash]), (3000.0, [])):
+            assert lasting(made.station) == expected
 
 
 def a_look() -> Look:
@@ -164,7 +201,8 @@ def pixel(point: np.ndarray) -> np.ndarray:
 
 def test_the_overlay_is_where_the_points_are() -> None:
     look = a_look()
-    told = PredictedEllipse((0.004, -0.001), 0.003, 0.001, math.radians(90.0))
+    ellipse_mm = {"major": 3.0, "minor": 1.0, "angle_deg": 90.0}
+    told = {"mean_mm": {"x": 4.0, "y": -1.0}, "ellipse_95_mm": ellipse_mm}
     drawn = overlay(Seen(observed(look, 5), CAMERA, TOOL_ID), 0.1, 0.005, told)
     aim = np.array([0.03, 0.05, 0.82])
     assert drawn["error_mm"] == pytest.approx([10.0, 60.0, 20.0])
@@ -203,9 +241,7 @@ def test_only_a_drive_tells_where_it_ends() -> None:
         "mean_mm": {"x": 1.0, "y": -2.0},
         "ellipse_95_mm": {"major": 3.0, "minor": 1.0, "angle_deg": 45.0},
     }
-    assert told_by("look-then-move", {"steps": [{"expected": told}]}) == told
-    assert told_by("look-then-move", {"steps": [{"expected": {}}], "seen": told}) == told
-    assert told_by("look-then-move", {"steps": []}) is None
-    assert told_by("move", {"steps": [{"expected": told}]}) is None
-    assert ellipse_of(None) is None
-    assert ellipse_of(told) == PredictedEllipse((0.001, -0.002), 0.003, 0.001, pytest.approx(math.pi / 4))
+    assert predicted_by("look-then-move", {"steps": [{"expected": told}]}) == told
+    assert predicted_by("look-then-move", {"steps": [{"expected": {}}], "seen": told}) == told
+    assert predicted_by("look-then-move", {"steps": []}) is None
+    assert predicted_by("move", {"steps": [{"expected": told}]}) is None

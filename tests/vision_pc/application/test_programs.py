@@ -4,17 +4,18 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from foundation.configuration import StrictModel
 from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from tests.vision_pc.program_settings import BOOM, shipped
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import Copy, body_of
+from vision_pc.application.bodies import RequestBody
 from vision_pc.application.ports import CameraStatus
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
+from vision_pc.config.hand_eye import GuidedSettings
 
 BY_NAME = {program.name: program for program in PROGRAMS}
 
@@ -24,10 +25,13 @@ class Settings(StrictModel):
 
     near_m: float = Field(0.02, gt=0.001, le=0.05)
     turns: int = Field(3, ge=1, le=9)
-    widened: float = 0.5
 
 
-BODY = body_of("Body", "A body.", Settings, near_mm=Copy(5.0, also={"widened": 0.0}), turns=None)
+class Body(RequestBody):
+    """Of that program."""
+
+    near_mm: float | None = Field(None, gt=1.0, le=50.0)
+    turns: int | None = Field(None, ge=1, le=9)
 
 
 def application(state: GroupState = GroupState.STANDBY, *, camera: bool = True, log: bool = True) -> Any:
@@ -48,26 +52,32 @@ def application(state: GroupState = GroupState.STANDBY, *, camera: bool = True, 
 
 
 def test_a_body_lays_what_is_given_over_the_settings_in_their_unit() -> None:
-    assert BODY().overrides() == {}
-    assert BODY(near_mm=10.0).overrides() == {"near_m": 0.01, "widened": 0.0}
-    row: Any = Program("a", "A", None, dict, BODY, lambda _: Settings())  # type: ignore[arg-type]
-    assert row.requested(application(), BODY(turns=4)) == Settings(turns=4)
+    assert Body().overrides() == {}
+    assert Body(near_mm=10.0).overrides() == {"near_m": 0.01}
+    row: Any = Program("a", "A", None, dict, Body, lambda _: Settings())  # type: ignore[arg-type]
+    assert row.requested(application(), Body(turns=4)) == Settings(turns=4)
 
 
-@pytest.mark.parametrize(
-    "given",
-    [{"near_mm": 1.0}, {"near_mm": 50.1}, {"turns": 0}, {"turns": 10}, {"near_m": 0.01}, {"turns": 1.5}],
-)
-def test_a_body_has_the_ranges_of_the_settings(given: dict[str, Any]) -> None:
+@pytest.mark.parametrize("given", [{"near_m": 0.01}, {"turns": 1.5}, {"turns": "3"}])
+def test_a_body_is_as_strict_as_the_configuration(given: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
-        BODY(**given)
+        Body(**given)
 
 
-def test_a_body_can_only_copy_what_the_settings_have() -> None:
-    with pytest.raises(KeyError, match="wide"):
-        body_of("Body", "", Settings, wide=None)
-    with pytest.raises(KeyError):
-        body_of("Body", "", Settings, turns_mm=None)
+def _bounds(model: type[BaseModel], name: str) -> dict[str, float]:
+    """The numeric limits of a field by its JSON schema."""
+    field = model.model_json_schema()["properties"][name]
+    return {key: v for key, v in field.get("anyOf", [field])[0].items() if key.endswith("imum")}
+
+
+@pytest.mark.parametrize("program", [one for one in PROGRAMS if one.settings], ids=lambda one: one.name)
+def test_a_body_is_neither_looser_nor_tighter_than_the_settings(program: Program[Any, Any]) -> None:
+    guided = SimpleNamespace(defaults=GuidedSettings())
+    settings = type(program.settings(SimpleNamespace(settings=shipped(), guided=guided)))  # type: ignore
+    for name in program.body.model_fields.keys() - {"name", "seed"}:
+        scale, field = (1e-3, name[:-2] + "m") if name.endswith("_mm") else (1.0, name)
+        scaled = {key: pytest.approx(scale * v) for key, v in _bounds(program.body, name).items()}
+        assert scaled == _bounds(settings, field), name
 
 
 def test_what_is_in_range_alone_may_be_refused_together() -> None:
@@ -76,9 +86,9 @@ def test_what_is_in_range_alone_may_be_refused_together() -> None:
     class Paired(Settings):
         turns: int = Field(3, ge=1, le=2)
 
-    row: Any = Program("a", "A", None, dict, BODY, lambda _: Paired())  # type: ignore[arg-type]
+    row: Any = Program("a", "A", None, dict, Body, lambda _: Paired())  # type: ignore[arg-type]
     with pytest.raises(ConfigurationError, match="turns = 5"):
-        row.requested(application(), BODY(turns=5))
+        row.requested(application(), Body(turns=5))
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
@@ -92,7 +102,7 @@ def test_a_moving_arm_refuses_every_program_by_its_own_name(program: Program[Any
 def test_what_moves_the_arm_needs_it_enabled_and_a_log_and_what_looks_a_camera(
     program: Program[Any, Any],
 ) -> None:
-    standing = {"look", "hand-eye-start", "hand-eye-sample", "hand-eye-locate", "hand-eye-solve"}
+    standing = {"look", "hand-eye-start", "hand-eye-sample", "hand-eye-solve"}
     asked = _asked(program)
     for broken, cause in (
         (application(GroupState.DISABLED), "refused.disabled"),
@@ -100,8 +110,7 @@ def test_what_moves_the_arm_needs_it_enabled_and_a_log_and_what_looks_a_camera(
         (application(GroupState.ERROR_STOP), "refused.error_latched"),
         (application(log=False), "refused.recording_failed"),
     ):
-        enables = program.name == "valve-trials" and cause == "refused.disabled"
-        if program.name in standing or enables:
+        if program.name in standing:
             program.refuse_now(broken, asked)
         else:
             with pytest.raises(RequestRefused, match=f"^{program.name}: ") as refused:
@@ -156,7 +165,7 @@ def _asked(program: Program[Any, Any]) -> Any:
     return program.requested(application(), program.body())
 
 
-async def test_a_look_begins_without_a_controller_and_nothing_else_does() -> None:
+async def test_nothing_begins_without_a_controller() -> None:
     class Absent:
         connected = False
 
@@ -164,22 +173,8 @@ async def test_a_look_begins_without_a_controller_and_nothing_else_does() -> Non
         def state(self) -> Any:
             raise LinkLost("link.not_connected", "no controller")
 
-    asked: list[int | None] = []
-    doubted = SimpleNamespace(look=SimpleNamespace(misplaced="marker 2 is seen 10 mm from it"))
-    reported: list[str] = []
-
-    async def look_alone(frames: int | None) -> Any:
-        asked.append(frames)
-        return doubted
-
     bare: Any = application()
-    bare.controller, bare.look_alone = Absent(), look_alone
-    look = by_name(PROGRAMS)["look"]
-    look.refuse_now(bare, look.requested(bare, look.body(frames=4)))
-    assert await look.run(bare, look.body(frames=4), lambda part, what: reported.append(what)) is doubted
-    assert reported[-1] == doubted.look.misplaced
-    assert asked == [4]
+    bare.controller = Absent()
     for program in PROGRAMS:
-        if program.name != "look":
-            with pytest.raises(LinkLost, match="no controller"):
-                program.refuse_now(bare, None)
+        with pytest.raises(LinkLost, match="no controller"):
+            program.refuse_now(bare, None)

@@ -143,14 +143,16 @@ def test_a_zed_file_is_read_at_the_size_that_is_asked_for(tmp_path: Path) -> Non
     check(read_calibration(write(tmp_path / "SN1.conf", ZED), SIZE))
 
 
-@pytest.mark.parametrize("line", ["TY=0.3\n", "TZ=-0.8\n"])
-def test_older_zed_files_have_no_small_shifts(tmp_path: Path, line: str) -> None:
-    found = read_calibration(write(tmp_path / "SN1.conf", ZED.replace(line, "")), SIZE)
+def test_older_zed_files_have_no_small_shifts_and_half_of_them_is_refused(tmp_path: Path) -> None:
+    lines = ("TY=0.3\n", "TZ=-0.8\n")
+    found = read_calibration(
+        write(tmp_path / "SN1.conf", ZED.replace(lines[0], "").replace(lines[1], "")), SIZE
+    )
     t_RL = -R @ np.array(found.right_position_m)
-    gone = 1 if line[1] == "Y" else 2
-    expected = T.copy()
-    expected[gone] = 0.0
-    np.testing.assert_allclose(t_RL, expected, atol=1e-12)
+    np.testing.assert_allclose(t_RL, T * [1.0, 0.0, 0.0], atol=1e-12)
+    for line in lines:
+        with pytest.raises(ConfigurationError, match=f"{line[:2]}_HD is missing: mm"):
+            read_calibration(write(tmp_path / "SN1.conf", ZED.replace(line, "")), SIZE)
 
 
 def test_newer_zed_files_hold_the_distortion_apart_and_shifts_by_resolution(tmp_path: Path) -> None:
@@ -199,21 +201,16 @@ def test_what_opencv_stores(tmp_path: Path) -> None:
 
 def test_our_own_file_gives_the_same_numbers_back(tmp_path: Path) -> None:
     first = read_calibration(write(tmp_path / "SN1.conf", ZED), SIZE)
-    size = len(first.parameters)
-    root = np.random.default_rng(1).normal(size=(size, size)) * np.geomspace(1e-9, 1.0, size)[:, None]
-    covariance = tuple(tuple(row) for row in (root @ root.T).tolist())
-    known = first.model_copy(update={"covariance": covariance, "rms_px": 0.12})
+    known = first.model_copy(update={"rms_px": 0.12})
     write_calibration(tmp_path / "camera.yaml", known)
     again = read_calibration(tmp_path / "camera.yaml")
     assert again == known
-    assert again.parameters[:2] == ("left.fx_px", "left.fy_px")
-    assert size == 24
 
 
 @pytest.mark.parametrize(
     ("was", "becomes", "told"),
     [
-        ("fx = 700.1", "fx = abc", r"SN1\.conf: \[LEFT_CAM_HD\] fx = 'abc': a number is wanted"),
+        ("fx = 700.1", "fx = abc", r"SN1\.conf: \[LEFT_CAM_HD\] fx = 'abc': a finite number is wanted"),
         ("fx = 700.1", "fx = nan", r"\[LEFT_CAM_HD\] fx = 'nan': a finite number is wanted"),
         ("fx = 700.1\n", "", r"\[LEFT_CAM_HD\] fx is missing"),
         ("[RIGHT_CAM_HD]", "[RIGHT_CAM_FHD]", r"\[RIGHT_CAM_HD\] is missing: .*1280x720.* has LEFT_CAM_2K"),
@@ -221,7 +218,11 @@ def test_our_own_file_gives_the_same_numbers_back(tmp_path: Path) -> None:
         ("Baseline=119.9", "Baseline=0.1199", r"0\.00086\d* m apart.*likely millimetres"),
         ("Baseline=119.9", "Baseline=-119.9", r"not to the right of the first"),
         ("CV_HD=0.0085", "CV_HD=1.2", r"turned by 68\.\d degrees, at most 45"),
-        ("cx = 641.2", "cx = 1641.2", r"left\.cx_px, cy_px: .* outside a picture of 1280x720"),
+        (
+            "cx = 641.2",
+            "cx = 1641.2",
+            r"left eye's cx = 1641\.2: 1001 px from the middle of pictures of 1280x720",
+        ),
         ("[MISC]", "[STEREO]", r"no ZED file: .*section 'STEREO' already exists"),
     ],
 )
@@ -241,13 +242,16 @@ def test_a_bad_zed_file_is_refused_by_key_and_value(
     [
         ("", "is empty; a ZED file"),
         ("a: 1\n", "has a; a ZED file"),
-        ("- 1\n", "a mapping is wanted"),
+        ("- 1\n", "keys with values are wanted"),
         (camchain().replace("pinhole", "omni"), r"cam0\.camera_model = 'omni': pinhole is wanted"),
         (camchain().replace("radtan", "fov"), r"distortion_model = 'fov': radtan, equidistant or none"),
         (camchain().replace("T_cn_cnm1", "T_cam_imu"), r"cam1\.T_cn_cnm1 is missing"),
         (camchain("equidistant", (D1, D2)), r"cam0\.distortion_coeffs = .*4 coefficients"),
-        (camchain("radtan", ((0.1, 0.2, 0.3), D2[:4])), r"cam0\.distortion_coeffs = .*4, 5 or 8"),
-        (camchain().replace("[1280, 720]", "[1280]"), r"cam0\.resolution = .*width and height"),
+        (
+            camchain("radtan", ((0.1, 0.2, 0.3), D2[:4])),
+            r"cam0\.distortion_coeffs = .*4 coefficients of radtan",
+        ),
+        (camchain().replace("[1280, 720]", "[1280]"), r"cam0\.resolution = .*2 numbers are wanted, got 1"),
         ("%YAML:1.0\n---\nM1: [1, 2\n", "no FileStorage of OpenCV"),
         ("%YAML:1.0\n---\nM1: 3\n", r"D1 is missing: as cv2\.stereoCalibrate"),
     ],
@@ -281,8 +285,6 @@ def test_the_configuration_takes_a_file_in_place_of_numbers(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("assignments", "told"),
     [
-        (["vision.camera.left={fx_px: 700}"], r"camera\.left: is now camera\.calibration\.left"),
-        (["vision.camera.baseline_m=0.1"], r"camera\.baseline_m: is now camera\.calibration"),
         (["vision.camera.calibration=camera.yaml"], "camera.yaml: No such file"),
         (["vision.camera.calibration={left: {fx_px: 10}}"], r"calibration\.rectified\.left\.fx_px = 10"),
     ],
@@ -318,7 +320,12 @@ def test_thin_prism_is_refused_in_every_form(tmp_path: Path) -> None:
     left, right = camera_infos()
     bent = left.replace("plumb_bob", "rational_polynomial")
     data = ", ".join(["0.1"] * 8 + ["0.002", "0", "0", "0"])
-    bent = re.sub(r"(distortion_coefficients:.*?data: )\[[^]]*\]", rf"\1[{data}]", bent, flags=re.S)
+    bent = re.sub(
+        r"(distortion_coefficients:.*?)cols: \d+(.*?data: )\[[^]]*\]",
+        rf"\1cols: 12\2[{data}]",
+        bent,
+        flags=re.S,
+    )
     for paths in (
         [write(tmp_path / "SN.conf", zed)],
         [write(tmp_path / "left.yaml", bent), write(tmp_path / "right.yaml", right)],

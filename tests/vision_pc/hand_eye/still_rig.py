@@ -19,7 +19,7 @@ from protocol.faults import FaultCode, GroupState, Severity
 from testbed.scenarios.scenario import Settings, chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
-from vision_pc.application.hand_eye.steps import SessionStore
+from vision_pc.application.hand_eye.session_store import SessionStore
 from vision_pc.core import se3
 from vision_pc.core.ports import ArmView, PairsAtRest
 from vision_pc.core.se3 import Array

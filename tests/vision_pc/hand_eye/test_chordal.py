@@ -40,14 +40,6 @@ def test_optimum_is_proven_and_no_other_start_finds_better(seed: int) -> None:
         assert chordal_cost(pairs.H, pairs.P, other.X, other.Z, NOISE) >= best * (1.0 - 1e-9)
 
 
-def test_weights_leave_samples_out() -> None:
-    pairs, _ = noisy_pairs(9)
-    keep = np.arange(len(pairs)) % 3 != 0
-    weighted = chordal.solve(chordal.problem(pairs.H, pairs.P, keep.astype(float), NOISE))
-    fewer = chordal.solve(chordal.problem(pairs.H[keep], pairs.P[keep], np.ones(int(keep.sum())), NOISE))
-    np.testing.assert_allclose(weighted[0], fewer[0], atol=1e-9)
-
-
 def test_proof_fails_at_another_stationary_point() -> None:
     """Multipliers that make a wrong rotation stationary cannot also be positive semidefinite."""
     pairs, _ = noisy_pairs(10)

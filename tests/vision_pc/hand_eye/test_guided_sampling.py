@@ -3,16 +3,13 @@
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.cli.hand_eye_files import run_drawing
-from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
+from tests.vision_pc.hand_eye.still_rig import X_BT_START, still_settings
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.core import se3
-from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.guided import sampling as guided_sampling
 from vision_pc.core.hand_eye.guided import views as guided_views
 from vision_pc.core.hand_eye.guided.sampling import Belief
@@ -23,7 +20,6 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 
 SETTINGS = GuidedSettings()
-WRIST_TO_TOOL = 0.35
 CAMERA = intrinsics.calibration(still_settings().vision.camera)
 X_TC = guided_views.nominal_mount(SETTINGS) @ se3.transform(
     se3.exp_so3([0.05, -0.04, 0.03]), [0.01, -0.01, 0.005]
@@ -87,21 +83,6 @@ def test_informative_poses_tell_more_than_random_ones() -> None:
     assert guided[1] < np.median(others[:, 1])
 
 
-def test_the_proposal_is_the_best_of_its_candidates() -> None:
-    """By the definition: no other candidate of the same draw leaves X better determined."""
-    belief = session(4, True).belief
-    best = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(3))
-    other = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(3), informative=False)
-
-    def volume(proposal: guided_sampling.Proposal) -> float:
-        added = guided_sampling.information_of(proposal, belief, AROUND, SETTINGS)
-        return float(np.linalg.slogdet(np.linalg.inv(belief.information + added)[:6, :6])[1])
-
-    before = float(np.linalg.slogdet(np.linalg.inv(belief.information)[:6, :6])[1])
-    assert volume(best) < volume(other) < before
-    assert best.gain == pytest.approx(before - volume(best), rel=1e-3)
-
-
 def test_belief_finds_the_mount_and_forgives_one_bad_sample() -> None:
     taken = session(8, True)
     assert np.linalg.norm(taken.belief.X[:3, 3] - X_TC[:3, 3]) < 1e-4
@@ -112,23 +93,13 @@ def test_belief_finds_the_mount_and_forgives_one_bad_sample() -> None:
     assert np.linalg.norm(spoiled.X[:3, 3] - X_TC[:3, 3]) < 0.01
 
 
-def test_refused_poses_cast_a_shadow_for_joint_limits_only() -> None:
+def test_neighbours_of_a_refused_pose_are_not_proposed() -> None:
     belief = session(3, True).belief
     best = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(7))
-    half_way = se3.interpolate(X_BT_START, best.X_BT, 0.6)
-
-    def again(refused: Array, why: str) -> guided_sampling.Proposal:
-        rng = np.random.default_rng(7)
-        return guided_sampling.propose(belief, AROUND, SETTINGS, rng, [(refused, why)])
-
-    assert not np.allclose(again(best.X_BT, "singular").X_BT, best.X_BT)
-    assert np.allclose(again(half_way, "singular: 0.7, limit 0.6").X_BT, best.X_BT)
-    shaded = again(half_way, "joint limit: 1.7, limit 1.56")
-    assert shaded.choices < best.choices
-    turns = [stacks.log_so3(X[:3, :3].T @ X_BT_START[:3, :3]) for X in (half_way, shaded.X_BT)]
-    lengths = [float(np.linalg.norm(turn)) for turn in turns]
-    same_way = turns[0] @ turns[1] > math.cos(math.radians(20.0)) * lengths[0] * lengths[1]
-    assert not (same_way and lengths[1] >= 0.95 * lengths[0])
+    again = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(7), [best.X_BT])
+    assert again.choices < best.choices
+    turn = se3.angle_between(again.X_BT[:3, :3], best.X_BT[:3, :3])
+    assert turn > math.radians(12.0) or np.linalg.norm(again.X_BT[:3, 3] - best.X_BT[:3, 3]) > 0.1
 
 
 def test_no_pose_left_is_said() -> None:
@@ -138,32 +109,7 @@ def test_no_pose_left_is_said() -> None:
     assert refused.value.cause == "measurement.hand_eye.no_pose"
 
 
-def test_a_wrist_turned_by_its_zeros_looks_like_a_turned_camera() -> None:
-    """Poses reported with a constant turn of the wrist fit exactly, X off by what the covariance says."""
-    turn = se3.exp_so3([0.002, -0.003, 0.004])
-    wrist = se3.transform(np.eye(3), [0.0, 0.0, -WRIST_TO_TOOL])
-    E = wrist @ se3.transform(turn, np.zeros(3)) @ se3.inverse(wrist)  # true tool in reported tool
-    off = se3.local(X_TC, E @ X_TC)
-    lever = X_TC[:3, 3] - wrist[:3, 3]
-    assert np.allclose(off[:3], np.cross([0.002, -0.003, 0.004], lever), atol=1e-5)
-    covariance = guided_sampling.arm_zero_covariance(X_TC, WRIST_TO_TOOL, 1e-3 * SETTINGS.arm_zero_std_mrad)
-    assert np.allclose(np.sqrt(np.diag(covariance)[3:]), 0.003)
-    fits = np.linalg.lstsq(covariance, off, rcond=1e-9)[0]
-    assert np.allclose(covariance @ fits, off, atol=2e-5)  # it lies in what the covariance spans
-    assert float(off @ fits) == pytest.approx(29e-6 / 9e-6, rel=0.02)
-
-
 def test_the_hidden_regions_are_those_of_both_eyes() -> None:
     assert isinstance(AROUND, Surroundings)
     (left, *_), (right, *_) = AROUND.hidden
     assert left[0] - right[0] == pytest.approx(530.0 * 0.12 / 0.4, abs=2.0)
-
-
-def test_the_cabinets_drawing_is_the_one_that_is_printed(tmp_path: object) -> None:
-    run_drawing(path := tmp_path / "front.png", "hand_eye", CONFIGS)  # type: ignore[operator]
-    fresh = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    shipped = cv2.imread(str(CONFIGS / "cabinet.png"), cv2.IMREAD_GRAYSCALE)
-    assert fresh is not None
-    assert shipped is not None
-    assert np.abs(fresh.astype(int) - shipped).max() <= 8
-    assert still_settings().vision.cabinet is not None

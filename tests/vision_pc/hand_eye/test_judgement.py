@@ -1,15 +1,17 @@
 """What is believed of a calibration: right samples are good, whatever their noise; doubts have figures."""
 
+import cv2
 import numpy as np
 import pytest
 
 from laboratory.experiments.hand_eye import scenes
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.hand_eye.data import noisy_pairs
+from vision_pc.config.choices import Method, Setup
+from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
+from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import judgement, methods, readings
-from vision_pc.core.hand_eye.solvers.judgement import JudgementLimits
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
 
 
@@ -46,25 +48,34 @@ def test_scale_is_told_with_an_honest_sigma() -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.5
 
 
-def test_noise_is_questioned_and_refused_with_its_limit() -> None:
+def test_noise_is_questioned_and_refused_with_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     pairs, _ = noisy_pairs(66, 9, 3.0, 5.0)
     result = methods.solve(pairs)
     (doubt,) = judgement.judged(pairs, result).doubts
     assert doubt.cause == "measurement.hand_eye.noise"
     assert "limit 2 deg" in doubt.reason
     assert not doubt.refused
-    strict = judgement.judged(pairs, result, JudgementLimits(noise_deg=0.2))
+    monkeypatch.setattr(judgement, "_NOISE_DEG", 0.2)
+    strict = judgement.judged(pairs, result)
     with pytest.raises(MeasurementFailed, match="noise is"):
         strict.demand()
 
 
-def test_corner_noise_is_questioned_and_refused_with_its_limit() -> None:
-    assert judgement.corner_doubt(0.2) is None
-    questioned, refused = judgement.corner_doubt(0.58), judgement.corner_doubt(2.0)
-    assert questioned is not None
-    assert refused is not None
-    assert "0.580 px, limit 0.3 px" in questioned.reason
-    assert (questioned.refused, refused.refused) == (False, True)
+@pytest.mark.parametrize(("shift_px", "verdict"), [(0.0, "good"), (100.0, "questioned"), (200.0, "refused")])
+def test_corners_tell_that_the_camera_is_another(shift_px: float, verdict: str) -> None:
+    scene = scenes.viewing_scene(np.random.default_rng(1), 12, distance_m=0.4, tilt_deg=35.0)
+    points = np.array([(x, y, 0.0) for x in np.arange(-3, 4) for y in np.arange(-3, 4)]) * 0.024
+    K = np.array([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
+    given = np.array([[600.0, 0.0, 320.0 + shift_px], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]])
+    seen = [se3.apply(X, points) @ K.T for X in scene.P()]
+    pixels = np.stack([each[:, :2] / each[:, 2:] for each in seen])
+    poses = [cv2.solvePnP(points, each, given, None, flags=cv2.SOLVEPNP_IPPE)[1:] for each in pixels]
+    X_CP = np.stack([se3.transform(se3.exp_so3(turn.ravel()), place.ravel()) for turn, place in poses])
+    corners = CornerViews(points, pixels, given, np.zeros(5))
+    pairs = pose_pairs(scene.X_BT, X_CP, Setup.EYE_IN_HAND, corners=corners)
+    found = judgement.judged(pairs, methods.solve(pairs, Method.DQCR))
+    of_corners = [each.refused for each in found.doubts if each.cause == "measurement.hand_eye.corner_noise"]
+    assert of_corners == {"good": [], "questioned": [False], "refused": [True]}[verdict]
 
 
 def test_an_error_without_a_better_reading_stays_as_it_is() -> None:

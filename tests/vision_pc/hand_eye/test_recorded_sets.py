@@ -9,9 +9,10 @@ from testbed.hand_eye.presentation import hold_out
 from tests.support import recorded_sets
 from vision_pc.config.choices import Detector, Method
 from vision_pc.core import se3
-from vision_pc.core.hand_eye.samples import pose_pairs
-from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
+from vision_pc.core.hand_eye.solvers import maximum_likelihood, methods
 from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.se3 import Array
 
 try:
     recorded_sets.data_directory()
@@ -33,12 +34,6 @@ def test_moveit_samples_give_the_published_camera() -> None:
     )
     assert result.certificate is not None
     assert result.certificate.holds
-
-
-def test_moveit_hold_out() -> None:
-    rows = hold_out("moveit", recorded_sets.moveit(), only=[Method.HORAUD, Method.DQCR, Method.ROBUST])
-    for row in rows:
-        assert row.hold_out_mm < 4.9, row.method
 
 
 def test_moveit_with_bad_samples_keeps_the_camera() -> None:
@@ -75,9 +70,49 @@ def test_checkerboards_give_opencvs_focal_length() -> None:
     assert found["fitted"].std_px[0] < 0.5 * found["classic"].std_px[0]
 
 
-@pytest.mark.parametrize("name", ["moveit", "ethz"])
-def test_the_robust_solver_is_not_behind_the_classical_ones(name: str) -> None:
-    rows = {row.method: row for row in hold_out(name, getattr(recorded_sets, name)())}
-    classical = [rows[method.value] for method in methods.CLASSICAL if rows[method.value].error is None]
-    assert rows["robust"].hold_out_mm <= 1.02 * min(row.hold_out_mm for row in classical)
-    assert rows["robust"].hold_out_deg <= 1.02 * min(row.hold_out_deg for row in classical)
+BEST_OF = (Method.TSAI, Method.PARK, Method.HORAUD, Method.ANDREFF, Method.DANIILIDIS)
+SETS = {
+    "moveit": (50, 1),
+    "ethz": (59, 1),
+    "moveit of 8": (8, 8),
+    "moveit of 10": (10, 8),
+    "moveit of 11": (11, 8),
+}
+
+
+def parts_of(name: str) -> list[PosePairs]:
+    """The set of that name, or as many draws from it as ``SETS`` says."""
+    count, draws = SETS[name]
+    pairs = getattr(recorded_sets, name.split()[0])()
+    if draws == 1:
+        return [pairs]
+    rng = np.random.default_rng(count)
+    return [
+        pairs.subset(np.isin(np.arange(len(pairs)), rng.choice(len(pairs), count, replace=False)))
+        for _ in range(draws)
+    ]
+
+
+def three_fold_rms(sets: list[PosePairs], method: Method) -> Array:
+    """Hold-out errors (2,), m and rad, rms over all samples: folds are every third sample of the file."""
+    errors = []
+    for pairs in sets:
+        for fold in range(3):
+            out = np.array(pairs.order) % 3 == fold
+            found = methods.solve(pairs.subset(~out), method)
+            errors.append(maximum_likelihood.residuals(pairs.H[out], pairs.P[out], found.X, found.Z))
+    return np.asarray(
+        np.sqrt(np.mean(np.sum(np.concatenate(errors).reshape(-1, 2, 3) ** 2, axis=-1), axis=0))
+    )
+
+
+@pytest.mark.slow("six methods on three folds of each")
+@pytest.mark.parametrize("name", SETS)
+def test_three_fold_hold_out_is_at_most_2_percent_behind_the_best_classical_method(name: str) -> None:
+    sets = parts_of(name)
+    best = np.min([three_fold_rms(sets, method) for method in BEST_OF], axis=0)
+    translation, rotation = three_fold_rms(sets, Method.ROBUST) / best
+    print(
+        f"{name}: {len(sets[0])} samples, rotation {rotation:.3f}, translation {translation:.3f} of the best"
+    )
+    assert max(rotation, translation) <= 1.02

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 
 from tests.vision_pc.odometry.test_odometry import pair_at
-from tests.vision_pc.rendering import cropped, wall_texture
+from tests.vision_pc.rendering import wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.odometry.motion_prior import ArmHistory, ArmPrior
-from vision_pc.core.odometry.segments import SegmentedOdometry
-from vision_pc.core.perception import intrinsics
+from vision_pc.core.odometry.arm_prior import ArmHistory, ArmPrior
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, StereoPair
-from vision_pc.shell.cameras.sequence import follow_pairs
+from vision_pc.core.types import CameraCalibration
 
 X_CT = se3.transform(se3.exp_so3([0.4, -1.1, 2.0]), (0.2, -0.3, 0.1))  # nobody knows it
 X_BC0 = se3.transform(se3.exp_so3([1.0, 0.2, -0.7]), (3.0, -1.0, 0.5))
@@ -81,36 +78,3 @@ def test_one_motion_that_the_arm_did_not_make_is_not_believed(
         found = odometry.process(pair_at(camera, texture, X, seed=k), X_BT=told(places[0]))
     assert found is None
     assert odometry.last_loss == "sudden_motion"
-
-
-def passing(camera: CameraCalibration, texture: Array, step: float) -> tuple[list[StereoPair], list[Array]]:
-    """A thing over 60 % of the picture from the first pair on, ``step`` m a pair."""
-    pairs, places = [], []
-    for k in range(12):
-        X = se3.transform(np.eye(3), (0.01 * k, 0.0, 0.0))
-        Y = X @ se3.transform(np.eye(3), (-step * k, 0.3 * step * k, 0.0))
-        rest, part = (pair_at(camera, texture, place, z=z, seed=k) for place, z in ((X, 1.5), (Y, 1.2)))
-        left, right = (
-            np.hstack([b[:, :384], a[:, 384:]]) for a, b in ((rest.left, part.left), (rest.right, part.right))
-        )
-        pairs.append(StereoPair(left, right, k, k))
-        places.append(X)
-    return pairs, places
-
-
-def test_a_recording_with_an_arm_is_located_once_the_motions_are_apart(config: VisionConfig) -> None:
-    camera = cropped(intrinsics.calibration(config.camera))
-    pairs, places = passing(camera, wall_texture(1, 22.0, 1000), step=0.008)
-
-    def begin(_: StereoPair) -> SegmentedOdometry:
-        return SegmentedOdometry(camera, config.odometry_of_recordings)
-
-    blind = follow_pairs(lambda: pairs, begin)
-    assert blind.lost == len(pairs)
-    result = follow_pairs(lambda: pairs, begin, tool_at=lambda pair: told(places[pair.frame_id]))
-    assert result.lost <= 4, result.losses
-    assert {record.segment for record in result.records} <= {0, None}, "the first map is kept meanwhile"
-    details = [record.detail for record in result.records if record.loss == "two_motions"]
-    assert "the arm's state still fits both" in details
-    for pose in result.poses:
-        assert np.linalg.norm(pose.X_C0C[:3, 3] - places[pose.frame_id][:3, 3]) < 3e-3

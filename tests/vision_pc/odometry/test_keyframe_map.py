@@ -28,9 +28,6 @@ def grown(known: KeyframeMap, x: float, points: Array = POINTS) -> Keyframe:
             rays,
             rays,
             np.zeros((2, 3)),
-            rays,
-            np.ones(len(ids), dtype=bool),
-            np.zeros((2, len(ids))),
             Templates(picture, rays, 3),
             np.arange(len(ids)),
         )

@@ -1,5 +1,5 @@
-"""What odometry of recordings finds out about the camera: rows that are off; and maps that are
-withdrawn.
+"""What odometry of recordings finds out about the camera: rows that are off; and that
+nothing which moves is followed.
 """
 
 import numpy as np
@@ -47,19 +47,18 @@ def test_rows_are_straightened_from_one_pair(
     assert straightened(camera, few) is camera
 
 
-def test_a_map_of_two_motions_is_withdrawn(camera: CameraCalibration, config: VisionConfig) -> None:
-    """A thing over 60 % of the picture from the first pair on: its first pose was a compromise."""
+def test_no_pose_of_two_motions_is_believed(camera: CameraCalibration, config: VisionConfig) -> None:
+    """A thing over 60 % of the picture from the first pair on: no pose is a compromise."""
     texture = wall_texture(1, 22.0, 1000)
     pairs = []
     for k in range(4):
-        X = se3.transform(np.eye(3), (0.004 * k * k, 0.0, 0.0))
-        Y = X @ se3.transform(np.eye(3), (-0.012 * k * k, 0.004 * k * k, 0.0))
+        X = se3.transform(np.eye(3), (0.004 * k, 0.0, 0.0))
+        Y = X @ se3.transform(np.eye(3), (-0.05 * k, 0.02 * k, 0.0))
         rest, part = (pair_at(camera, texture, place, z=z, seed=k) for place, z in ((X, 1.5), (Y, 1.2)))
         left, right = (
             np.hstack([b[:, :384], a[:, 384:]]) for a, b in ((rest.left, part.left), (rest.right, part.right))
         )
         pairs.append(StereoPair(left, right, k, k))
     result = follow_pairs(lambda: pairs, lambda _: SegmentedOdometry(camera, config.odometry_of_recordings))
-    assert result.lost == 4
     assert set(result.losses) == {"two_motions"}
-    assert result.apart == []
+    assert all(len(result.poses_of(k)) <= 1 for k in range(len(result.joints)))

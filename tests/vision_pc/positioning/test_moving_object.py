@@ -1,73 +1,19 @@
-"""An object that moves: seen over the legs or the path, or by a last look elsewhere than expected."""
+"""An object that moves while the legs or the path are driven."""
 
 import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from tests.vision_pc.program_settings import BOOM, shipped
+from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
-from vision_pc.core.calibration.local_error_model import record_local_track
 from vision_pc.core.calibration.object_motion import object_motion, refuse_moving_object
 from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.calibration.trajectory_matching import trajectory_matching
-from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
-from vision_pc.core.positioning.look_then_move import look_then_move
 from vision_pc.core.se3 import Array, transform
-from vision_pc.core.types import Look, WatchSample
+from vision_pc.core.types import WatchSample
 
 PROGRAMS = shipped()
 RNG_NOISE_M = 3e-4
-
-
-class Shifted(SyntheticRig):
-    """Its object is ``shift_m`` aside, in B, from the second look on: it went while the arm drove."""
-
-    shift_m = 0.0
-    looks = 0
-
-    async def look(self, frames: int | None = None) -> Look:
-        self.looks += 1
-        if self.looks == 2:
-            X_BO = self.truth.X_BO.copy()
-            X_BO[1, 3] += self.shift_m
-            self.truth = self.truth._replace(X_BO=X_BO)
-        return await super().look()
-
-
-async def driven(shift_m: float) -> tuple[Shifted, CorrectedResult]:
-    rig = Shifted(draw(np.random.default_rng(4)), 4)
-    await adjust_orientation(rig, rig, silent, PROGRAMS.orientation)
-    track = await record_local_track(rig, rig, silent, PROGRAMS.local_map, BOOM)
-    rig.shift_m, rig.looks = shift_m, 0
-    made = PROGRAMS.positioning, PROGRAMS.local_map, BOOM
-    return rig, await look_then_move_corrected(rig, rig, silent, *made, track)
-
-
-@pytest.mark.parametrize("shift_m", [0.0, 0.004, 0.03])
-async def test_a_last_look_that_contradicts_odometry_ends_so_and_widens_what_follows(shift_m: float) -> None:
-    rig, result = await driven(shift_m)
-    assert (result.positioning.ended == "contradicted") is (shift_m > 0.0)
-    assert result.track.contradiction == pytest.approx(shift_m, abs=1.5e-3)
-    again = await look_then_move_corrected(
-        rig, rig, silent, PROGRAMS.positioning, PROGRAMS.local_map, BOOM, result.track
-    )
-    if shift_m == 0.03:  # it may go on: nothing is sure of the next end
-        assert again.positioning.steps[0].expected.inside < 0.1
-        assert again.positioning.ended != "contradicted"  # it has not
-        assert again.track.contradiction == 0.0
-
-
-@pytest.mark.parametrize("shift_m", [0.0, 0.03])
-async def test_the_papers_form_ends_contradicted_where_the_object_went_while_the_arm_drove(
-    shift_m: float,
-) -> None:
-    rig = Shifted(draw(np.random.default_rng(4)), 4)
-    await adjust_orientation(rig, rig, silent, PROGRAMS.orientation)
-    calibration = await trajectory_matching(rig, rig, silent, PROGRAMS.trajectory, PROGRAMS.local_map)
-    rig.shift_m, rig.looks = shift_m, 0
-    one = PROGRAMS.positioning.model_copy(update={"inputs": 1})
-    result = await look_then_move(rig, rig, silent, one, calibration)
-    assert (result.ended == "contradicted") is (shift_m > 0.0)
 
 
 class Sliding(SyntheticRig):

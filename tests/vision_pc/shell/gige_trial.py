@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 
 from foundation.configuration import load, parse_overrides
-from testbed.camera.fake_gige import FakeGigeCamera
+from tests.support.fake_gige import FakeGigeCamera
 from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.cameras import open_camera

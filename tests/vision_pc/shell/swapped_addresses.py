@@ -20,7 +20,7 @@ from protocol.reference_messages import ANY_ARM
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, draw
 from vision_pc.config.vision import LinkSettings
-from vision_pc.shell.camera_eyes import MonotonicClock
+from vision_pc.shell.camera_eyes import ProcessClock
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 
 NAME = "controller.cell"
@@ -40,7 +40,7 @@ async def found_at_each() -> None:
         names(hosts, PLACES[0])
         subprocess.run(["mount", "--bind", hosts, "/etc/hosts"], check=True)  # noqa: ASYNC221
         log, port = EventLog("vision_pc", io.StringIO()), 47011
-        endpoint = UdpEndpoint(LinkSettings(host=NAME, port=port), ANY_ARM, log, MonotonicClock())
+        endpoint = UdpEndpoint(LinkSettings(host=NAME, port=port), ANY_ARM, log, ProcessClock())
         for number, address in enumerate(PLACES):
             names(hosts, address)
             rig = SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0)

@@ -1,7 +1,5 @@
 """The REST face in process: whole procedure and operations, over a simulated arm."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -70,22 +68,6 @@ async def test_move_by_offsets_and_to_a_pose(station: Bench) -> None:
     assert moved["result"]["miss_mm"] < 0.01
 
 
-async def test_events_follow_an_operation_to_its_end(station: Bench) -> None:
-    await station.post("/enable")
-    started = await station.post("/operations/orientation-adjustment")
-    answer = await station.client.get(f"{started.headers['Location']}/events")
-    assert answer.headers["content-type"].startswith("text/event-stream")
-    blocks = [block for block in answer.text.split("\n\n") if "data:" in block]
-    names = [line[7:] for block in blocks for line in block.splitlines() if line.startswith("event: ")]
-    data = [
-        json.loads(line[6:]) for block in blocks for line in block.splitlines() if line.startswith("data: ")
-    ]
-    assert names[-1] == "ended"
-    assert set(names[:-1]) == {"progress"}
-    assert [d["progress"] for d in data[:-1]] == sorted(d["progress"] for d in data[:-1])
-    assert data[-1]["state"] == "succeeded"
-
-
 async def test_state_and_health_and_picture(station: Bench) -> None:
     assert (await station.client.get("/health")).json()["status"] == "ok"
     state = (await station.client.get("/state")).json()
@@ -115,3 +97,22 @@ async def test_home_is_where_the_arm_was_first_heard() -> None:
         await until(lambda: made.station.controller.home is not None)
         again = (await made.run("home"))["result"]["X_BT_ref"]["p_m"]
         assert np.subtract(again, first[:3, 3])[1] == pytest.approx(0.04, abs=3e-3)
+
+
+async def test_what_moved_stays_in_doubt_until_a_person_says_that_it_stands(station: Bench) -> None:
+    await station.post("/enable")
+    await station.succeeded("look")
+    station.rig.truth.X_BO[0, 3] += 0.02
+    look = (await station.succeeded("look"))["result"]
+    assert look["doubt"]["shift_mm"] == pytest.approx(20.0, abs=1.0)
+    doubt = (await station.client.get("/state")).json()["doubt"]
+    assert doubt == look["doubt"]
+    assert "does it move?" in doubt["detail"]
+    assert (await station.succeeded("look"))["result"]["doubt"] == doubt
+    assert (await station.client.delete("/doubt")).json() == {"doubt": doubt}
+    assert (await station.client.get("/state")).json()["doubt"] is None
+    assert (await station.client.delete("/doubt")).json() == {"doubt": None}
+    assert [event["event"] for event in station.events("doubt_raised") + station.events("doubt_ended")] == [
+        "doubt_raised",
+        "doubt_ended",
+    ]

@@ -58,16 +58,6 @@ def test_the_header_is_read_as_the_rfc_has_it(fields: list[str], wait_s: int | N
     assert operation_routes.preferred_wait_s(fields) == wait_s
 
 
-async def test_who_finds_no_place_to_wait_is_answered_at_once(
-    station: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(operation_routes, "MAX_WAITING", 0)
-    answer = await station.post("/operations/look", Prefer="wait=60")
-    assert answer.status_code == 202
-    assert "Preference-Applied" not in answer.headers
-    await station.ended(answer.headers["Location"])
-
-
 @pytest.mark.parametrize(
     ("kind", "body"),
     [
@@ -90,40 +80,21 @@ async def test_bad_bodies_are_named(station: Bench, kind: str, body: Any) -> Non
     assert document["faults"][0]["at"][0] == "body"
 
 
-@pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999"])
-async def test_numbers_that_are_none_are_refused(station: Bench, text: str) -> None:
-    content = f'{{"offset_base_m": [0, 0, {text}]}}'
-    headers = {"content-type": "application/json"}
-    answer = await station.client.post("/operations/move", content=content, headers=headers)
-    refused(answer, 422, "request.invalid")
-
-
 async def test_broken_json_too_much_and_unknown_paths(station: Bench) -> None:
     headers = {"content-type": "application/json"}
     answer = await station.client.post("/operations/move", content="{", headers=headers)
     refused(answer, 422, "request.invalid")
+    named = refused(
+        await station.client.post("/operations/look", content='{"frames": 2}'), 422, "request.invalid"
+    )
+    assert "Content-Type: application/json" in named["detail"]
     answer = await station.client.post("/operations/move", content=b"[" * 16_000, headers=headers)
     refused(answer, 400, "request.too_deep")
     refused(await station.client.get("/nowhere"), 404, "request.not_found")
     refused(await station.client.get("/operations/none"), 404, "refused.unknown_operation")
-    refused(await station.client.get("/operations/none/events"), 404, "refused.unknown_operation")
     refused(await station.client.delete("/operations"), 405, "request.method_not_allowed")
     unknown = refused(await station.client.post("/operations/lok"), 404, "refused.unknown_program")
     assert unknown["detail"] == "no program 'lok'; did you mean look?"
-
-
-async def test_the_same_idempotency_key_is_the_same_operation(station: Bench) -> None:
-    await station.post("/enable")
-    body = {"offset_base_m": [0.0, 0.1, 0.0]}
-    first = await station.post("/operations/move", body, Idempotency_Key="k1")
-    again = await station.post("/operations/move", body, Idempotency_Key="k1")
-    assert first.json()["id"] == again.json()["id"]
-    await station.ended(first.headers["Location"])
-    later = await station.post("/operations/move", body, Idempotency_Key="k1")
-    assert later.json()["state"] == "succeeded"
-    other = {"offset_base_m": [0.0, 0.2, 0.0]}
-    refused(await station.post("/operations/move", other, Idempotency_Key="k1"), 422, "refused.key_reused")
-    assert len((await station.client.get("/operations")).json()) == 1
 
 
 async def test_the_key_of_a_forgotten_operation_is_spent(

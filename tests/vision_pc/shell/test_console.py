@@ -81,8 +81,9 @@ async def test_it_goes_on_after_trouble_and_refuses_one_too_many() -> None:
 def test_a_message_holds_both_eyes() -> None:
     left = np.tile(np.arange(128, dtype=np.uint8), (72, 1))
     data = message(StereoPair(left, 255 - left, 123_456_789, 42))
-    length, capture_ns, _, frame, left_bytes = HEADER.unpack_from(data)
-    assert (length + 4, capture_ns, frame) == (len(data), 123_456_789, 42)
+    length, capture_ns, encoded_ns, frame, left_bytes = HEADER.unpack_from(data)
+    assert (length + 4, frame) == (len(data), 42)
+    assert encoded_ns > capture_ns == pytest.approx(123_456_789, abs=5e6)
     eyes = [
         cv2.imdecode(np.frombuffer(part, np.uint8), cv2.IMREAD_GRAYSCALE)
         for part in (data[HEADER.size : HEADER.size + left_bytes], data[HEADER.size + left_bytes :])
@@ -117,7 +118,14 @@ def test_the_stream_tells_of_state_alarms_and_operations() -> None:
         assert ended["state"]["group_state"] == "disabled"
         assert httpx.post(f"{url}/operations/look").status_code == 202
         looked = next(each for each in every if each["operations"] and each["look"])
-        assert looked["operations"][-1]["kind"] == "look"
+        assert looked["operations"][-1]["title"] == "Look at tool and object with the arm at rest"
+        httpx.post(f"{url}/enable")
+        bench.controller.speed = 0.0001
+        assert httpx.post(f"{url}/operations/move", json={"offset_base_m": [0, 0, 0.1]}).status_code == 202
+        next(each for each in every if each["state"]["group_state"] == "moving")
+        bench.controller.break_down(FaultCode.OVERSPEED)
+        failed = next(each for each in every if len(each["alarms"]) > 2)["alarms"]
+        assert any(alarm["detail"].startswith("Move the tool point to point: ") for alarm in failed)
 
 
 @pytest.mark.realtime

@@ -3,15 +3,12 @@
 import ctypes.util
 import json
 import shutil
-import socket
 import subprocess
 import sys
 from typing import Any
 
 import pytest
 
-from protocol.errors import LinkLost
-from testbed.camera.fake_gige import FakeGigeCamera
 from tests.support.paths import ROOT
 
 TRIAL = (
@@ -66,13 +63,6 @@ def test_pairs_come_right_and_an_unplugged_camera_is_named_and_comes_back() -> N
     assert 0.0 <= ages_ms[0] < 50.0
     assert said["reports"][-2] in ("link.camera_silent", "link.camera_missing")
     assert said["reports"][-1] is True, said
-
-
-def test_an_address_that_another_camera_has_is_refused() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.5.6", 3956))
-        with pytest.raises(LinkLost, match="Address already in use"):
-            FakeGigeCamera("127.0.5.6", "T", lambda width, height: (bytes(width * height), 0))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from protocol.faults import Reason
 from protocol.reference_messages import FLAG_PLANT_LINK_OK, State
 from protocol.session_events import SessionLost, StateReceived
 from tests.vision_pc.synthetic_station import bench
-from vision_pc.application.console.overview import Overview, glimpse
+from vision_pc.application.console.overview import Overview
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.link.udp_endpoint import MachineWatch
 
@@ -100,11 +100,11 @@ async def test_what_was_found_out_is_void_then() -> None:
         answer = await made.post("/targets", {"u_px": 600.0, "v_px": 300.0})
         assert answer.status_code == 201, answer.text
         overview = Overview(made.station.links)
-        overview.note(100.0, glimpse(made.station))
+        overview.note(100.0, made.station)
         assert overview.anew_at is None
         made.station.begin_anew()
-        overview.note(101.0, glimpse(made.station))
-        told = overview.document(glimpse(made.station), None)
+        overview.note(101.0, made.station)
+        told = overview.document(made.station, None)
         assert told["anew_at"] == 101.0
         assert (told["tracked"], told["look"], told["calibration"]) == (False, None, None)
         assert [(row["cause"], row["began_at"]) for row in told["alarms"]] == [("machine.begun_anew", 101.0)]

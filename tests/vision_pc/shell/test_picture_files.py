@@ -1,5 +1,8 @@
 """Pictures in directories: their order, their partners, their times, and KITTI's cameras by folder."""
 
+import itertools
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -9,11 +12,13 @@ import pytest
 from protocol.errors import ConfigurationError
 from testbed.camera.checking import PLAIN
 from testbed.camera.pairs import take
-from testbed.cli.perception import read_tum
+from testbed.hand_eye.picture_samples import alike
+from testbed.reporting.console import out
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras.directory import read_grey
-from vision_pc.shell.cameras.picture_files import eye_files, pictures_in
+from vision_pc.shell.cameras.picture_files import eye_files, matched_pictures, pictures_in
+from vision_pc.shell.cameras.sequence import PairRecord, read_pairs
 from vision_pc.shell.cameras.sequence_calibration import kitti_eyes, recorded_camera
 
 BEGAN_NS = 1_403_636_579_763_555_584
@@ -57,14 +62,6 @@ def test_eyes_that_lost_different_pictures_are_matched_by_their_times(tmp_path: 
     assert "up to 3.0 ms apart" in notes
 
 
-def test_an_eye_that_begins_later_is_not_paired_with_other_moments(tmp_path: Path) -> None:
-    left = folder(tmp_path / "left", stamps(list(range(23))))
-    right = folder(tmp_path / "right", stamps(list(range(1, 24))))
-    found = eye_files(left, right, 10.0)
-    assert len(found.files) == 22
-    assert all(one.stem == other.stem for one, other in found.files)
-
-
 def test_eyes_whose_clocks_differ_are_refused_with_the_difference(tmp_path: Path) -> None:
     left = folder(tmp_path / "left", stamps(list(range(5))))
     right = folder(tmp_path / "right", stamps(list(range(5)), 9 * PERIOD_NS))
@@ -96,10 +93,10 @@ def test_names_that_only_count_are_matched_where_they_are_equal(tmp_path: Path) 
 )
 @pytest.mark.parametrize("listed", [False, True])
 def test_units_are_told_by_size(tmp_path: Path, names: list[str], unit: str, listed: bool) -> None:
-    left = folder(tmp_path / "left", ["0", "1"] if listed else names)
+    left, right = (folder(tmp_path / eye, ["0", "1"] if listed else names) for eye in ("left", "right"))
     if listed:
         (tmp_path / "times.txt").write_text("\ufeff# of the left eye\n" + "\n".join(names), encoding="utf-8")
-    found = eye_files(left, left, 25.0)
+    found = eye_files(left, right, 25.0)
     assert found.times_ns[0] == pytest.approx(BEGAN_NS, abs=1_000_000)
     assert found.times_ns[1] - found.times_ns[0] == PERIOD_NS
     assert found.notes[0].startswith(f"times: {unit}, from ")
@@ -116,20 +113,14 @@ def test_units_are_told_by_size(tmp_path: Path, names: list[str], unit: str, lis
 def test_times_from_zero_are_seconds_unless_periods_were_absurd(
     tmp_path: Path, lines: str, times_ns: list[int]
 ) -> None:
-    left = folder(tmp_path / "left", ["000000", "000001", "000002"])
-    assert eye_files(left, left, 20.0).times_ns == [0, 50_000_000, PERIOD_NS]
+    left, right = (folder(tmp_path / eye, ["000000", "000001", "000002"]) for eye in ("left", "right"))
+    assert eye_files(left, right, 20.0).times_ns == [0, 50_000_000, PERIOD_NS]
     (tmp_path / "times.txt").write_text(lines, encoding="ascii")
-    assert eye_files(left, left, 20.0).times_ns == times_ns
+    assert eye_files(left, right, 20.0).times_ns == times_ns
     for wrong, why in (("0.0\n", "1 times for 3 pictures"), ("0\n0 1\n2\n", "line 2 is '0 1'")):
         (tmp_path / "times.txt").write_text(wrong, encoding="ascii")
         with pytest.raises(ConfigurationError, match=why):
-            eye_files(left, left, 20.0)
-
-
-def test_trajectories_in_nanoseconds_meet_those_in_seconds(tmp_path: Path) -> None:
-    path = tmp_path / "truth.tum"
-    path.write_text("".join(f"{BEGAN_NS + k * PERIOD_NS} {k} 0 0 0 0 0 1\n" for k in range(3)))
-    np.testing.assert_allclose(read_tum(path)[0], 1e-9 * BEGAN_NS + 0.1 * np.arange(3), atol=1e-6)
+            eye_files(left, right, 20.0)
 
 
 def test_colour_eyes_have_their_own_matrices(tmp_path: Path) -> None:
@@ -165,3 +156,160 @@ def test_boards_are_taken_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     taken = take(str(tmp_path), settings, 9)
     assert taken.names == ["left1.png", "left2.png", "left10.png"]
     assert [int(pair.right[0, 0]) for pair in taken.pairs] == [1, 2, 10]
+
+
+@pytest.mark.parametrize("bits", range(8, 17))
+def test_depth_is_that_of_the_values(tmp_path: Path, bits: int) -> None:
+    values = np.linspace(0, 2**bits - 1, 256).astype(np.uint16).reshape(16, 16)
+    cv2.imwrite(str(tmp_path / "a.png"), values)
+    grey = read_grey(tmp_path / "a.png")
+    assert np.diff(grey.ravel().astype(int)).min() >= 0
+    assert 127 <= grey.max() <= 255
+
+
+BAD = {
+    "cut": (lambda good: good[: len(good) // 2], "cut short"),
+    "empty": (lambda good: b"", "is empty"),
+    "page": (lambda good: b"<html>", "no picture"),
+    "small": (
+        lambda good: cv2.imencode(".png", np.zeros((4, 6), np.uint8))[1].tobytes(),
+        "size|not of 80x60",
+    ),
+}
+
+
+def of_pairs(lefts: list[Path], rights: list[Path]) -> tuple[list[str], list[str]]:
+    """Names that odometry reads, and what it says of the others."""
+    found = list(read_pairs(eye_files(lefts[0].parent, rights[0].parent, 10.0)))
+    good = [lefts[pair.frame_id].name for pair in found if isinstance(pair, StereoPair)]
+    return good, [pair.detail or "" for pair in found if isinstance(pair, PairRecord)]
+
+
+def of_boards(lefts: list[Path], rights: list[Path]) -> tuple[list[str], list[str]]:
+    """Names that a calibration reads, and what it says of the others."""
+    settings = CameraSettings(stale_ms=1000.0, frozen_frames=0, width_px=64, height_px=64, calibration=PLAIN)
+    with out.capture() as printed:
+        names = take(str(lefts[0].parent.parent), settings, 9).names
+    return names, [printed.get()] if printed.get() else []
+
+
+def of_samples(lefts: list[Path], rights: list[Path]) -> tuple[list[str], list[str]]:
+    """Names that samples of hand and eye read, of the right eye here, and what is said of the others."""
+    pictures, notes = alike([(path, np.eye(4)) for path in rights])
+    return [one.path.name for one in pictures], notes
+
+
+@pytest.mark.parametrize("kind", BAD)
+@pytest.mark.parametrize("read", [of_pairs, of_boards, of_samples])
+@pytest.mark.parametrize("place", [0, 2, 4])
+def test_one_bad_picture_is_named_and_the_others_are_read(
+    tmp_path: Path,
+    read: Callable[[list[Path], list[Path]], tuple[list[str], list[str]]],
+    kind: str,
+    place: int,
+) -> None:
+    rng, names = np.random.default_rng(1), [f"{k}.png" for k in range(5)]
+    lefts, rights = ([tmp_path / eye / name for name in names] for eye in ("left", "right"))
+    for path in (*lefts, *rights):
+        path.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(path), rng.integers(0, 255, (60, 80)).astype(np.uint8))
+    spoil, why = BAD[kind]
+    rights[place].write_bytes(spoil(rights[place].read_bytes()))
+    found, notes = read(lefts, rights)
+    assert found == [name for k, name in enumerate(names) if k != place]
+    (note,) = notes
+    assert names[place] in note
+    assert re.search(why, " ".join(note.split()))
+    for path in rights:
+        path.write_bytes(b"x")
+    with pytest.raises(ConfigurationError, match="no picture"):
+        read(lefts, rights)
+
+
+def test_what_macos_puts_beside_a_picture_is_none(tmp_path: Path) -> None:
+    at = folder(tmp_path / "p", ["a"])
+    (at / "._a.png").write_bytes(b"x")
+    assert pictures_in(at) == [at / "a.png"]
+
+
+def test_a_picture_is_no_pair_with_itself(tmp_path: Path) -> None:
+    both = folder(tmp_path / "both", ["left0", "right0", "left1", "right1"])
+    for other in (both, both / ".." / "both"):
+        with pytest.raises(ConfigurationError, match="one folder for both eyes"):
+            eye_files(both, other, 10.0)
+
+
+SPELLINGS = (
+    "{k}", "{k:06d}", "{eye}{k}", "{k}{e}", "{e}{k:03d}", "cam{n}_{k:04d}", "image_{n}_{k}",
+    "{eye}_of_7_{k:02d}", "2026-11-30_{k:03d}_{EYE}", "frame{k:03d}_{e}1", "{k}.{n}", "run 3, {k}, {Eye}",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_eyes_belong_together_by_the_numbers_in_their_names(tmp_path: Path, spelling: str) -> None:
+    for trial, (left_lost, right_lost) in enumerate(itertools.product(((), (0,), (4,), (2, 9)), repeat=2)):
+        lost, at = {"left": left_lost, "right": right_lost}, tmp_path / str(trial)
+        for n, eye in enumerate(lost):
+            words = {"eye": eye, "Eye": eye.title(), "EYE": eye.upper(), "e": eye[0], "n": n}
+            folder(at / eye, [spelling.format(k=k, **words) for k in range(11) if k not in lost[eye]])
+        kept = [[k for k in range(11) if k not in lost[eye]] for eye in lost]
+        lefts, rights = (pictures_in(at / eye) for eye in lost)
+        chosen = matched_pictures(lefts, rights)[0]
+        expected = [k for k in kept[0] if k in kept[1]]
+        assert [(kept[0][i], kept[1][j]) for i, j in chosen] == [(k, k) for k in expected], (spelling, lost)
+
+
+def test_names_that_count_otherwise_are_joined_in_order_or_not_at_all(tmp_path: Path) -> None:
+    left = folder(tmp_path / "left", [f"{k}" for k in (0, 1, 2, 3)])
+    found = eye_files(left, folder(tmp_path / "late", [f"{k}" for k in (50, 51, 52, 53)]), 10.0)
+    assert [other.stem for _, other in found.files] == ["50", "51", "52", "53"]
+    assert "no two names are equal" in found.notes[-1]
+    for k, others in enumerate(((50, 51, 53, 54), (50, 51, 52), (50, 52, 54, 56))):
+        right = folder(tmp_path / f"right{k}", [f"{other}" for other in others])
+        with pytest.raises(ConfigurationError, match="which belong together"):
+            eye_files(left, right, 10.0)
+
+
+@pytest.mark.parametrize("times", ["0.3 0.2 0.1 0", "0 0.1 0.1 0.2", "1.7e9 1.7e9 1.7e9 1.7e9"])
+def test_times_that_do_not_rise_are_refused(tmp_path: Path, times: str) -> None:
+    left, right = (folder(tmp_path / eye, ["0", "1", "2", "3"]) for eye in ("left", "right"))
+    (tmp_path / "times.txt").write_text(times.replace(" ", "\n"))
+    with pytest.raises(ConfigurationError, match="no later than the one above it"):
+        eye_files(left, right, 10.0)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_longer_list_of_times_is_joined_by_the_numbers_in_names(tmp_path: Path, first: int) -> None:
+    numbers = [k for k in range(6) if k not in (2, 3)]
+    names = [f"{k + first:06d}" for k in numbers]
+    left, right = (folder(tmp_path / eye, names) for eye in ("left", "right"))
+    (tmp_path / "times.txt").write_text("".join(f"{0.1 * k}\n" for k in range(6)))
+    found = eye_files(left, right, 10.0)
+    assert found.times_ns == [k * PERIOD_NS for k in numbers]
+    assert "6 times, 4 pictures" in found.notes[0]
+    left, right = (folder(tmp_path / "x" / eye, ["a", "b"]) for eye in ("left", "right"))
+    (tmp_path / "x" / "times.txt").write_text("0\n0.1\n0.2\n")
+    with pytest.raises(ConfigurationError, match="3 times for 2 pictures"):
+        eye_files(left, right, 10.0)
+
+
+TURNED = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0%c\0\0\0\0\0\0\0"
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_picture_that_its_file_turns_is_refused(tmp_path: Path, orientation: int) -> None:
+    picture = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    jpeg, exif = cv2.imencode(".jpg", picture)[1].tobytes(), TURNED % orientation
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2) + exif + jpeg[2:])
+    if orientation == 1:
+        assert read_grey(tmp_path / "a.jpg").shape == picture.shape
+        return
+    with pytest.raises(ConfigurationError, match="EXIF"):
+        read_grey(tmp_path / "a.jpg")
+
+
+def test_of_several_pictures_in_a_file_none_is_chosen(tmp_path: Path) -> None:
+    picture = np.zeros((16, 16), np.uint8)
+    cv2.imwritemulti(str(tmp_path / "a.tiff"), [picture, picture])
+    with pytest.raises(ConfigurationError, match="2 pictures"):
+        read_grey(tmp_path / "a.tiff")

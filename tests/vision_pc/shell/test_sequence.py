@@ -62,17 +62,6 @@ def test_sequence_is_followed_and_written(
         np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), X[:3, :3], atol=5e-4)
 
 
-@pytest.mark.parametrize(("name", "text"), [("camera.yaml", YAML), ("calib.txt", KITTI)])
-def test_calibrations_agree(camera: CameraCalibration, tmp_path: Path, name: str, text: str) -> None:
-    (tmp_path / name).write_text(text, encoding="utf-8")
-    blank = np.zeros((720, 1280), np.uint8)
-    found = sequence_calibration.recorded_camera(tmp_path / name, StereoPair(blank, blank, 0, 0)).camera
-    assert (found.width, found.height) == (1280, 720)
-    for ours, theirs in ((camera.left, found.left), (camera.right, found.right)):
-        np.testing.assert_allclose(theirs.K, ours.K)
-        np.testing.assert_allclose(theirs.X_CE, ours.X_CE)
-
-
 def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None:
     blank = StereoPair(np.zeros((720, 1280), np.uint8), np.zeros((720, 1280), np.uint8), 0, 0)
     left, right = written(tmp_path, [blank] * 2, ["0", "1"])

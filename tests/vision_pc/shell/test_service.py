@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from foundation.recording.recovery import contents
+from foundation.recording.contents import contents
 from testbed.realtime.launch import free_port
 from tests.support.paths import CONFIGS
 from vision_pc.__main__ import main
@@ -38,8 +38,6 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
         *arguments(*settings),
         "--record-dir",
         str(tmp_path),
-        "--statistics",
-        str(tmp_path / "figures.json"),
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
@@ -61,7 +59,9 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
     finally:
         process.kill()
         process.communicate()
-    figures = json.loads((tmp_path / "figures.json").read_text())
+    last = json.loads((tmp_path / "events.jsonl").read_text().splitlines()[-1])
+    assert last["event"] == "stopped"
+    figures = last["statistics"]
     assert figures["camera"]["connected"] is False
     assert 20.0 < figures["memory_mb"] < 1000.0
     recorded = contents(tmp_path / FILE)
@@ -69,8 +69,6 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
     assert figures["recording"]["written"] > 0
     counted = {topic.name for channel, topic in recorded.topics.items() if recorded.counts.get(channel)}
     assert counted == {EVENT, LOG}  # it heard of nobody and saw nothing
-    last = json.loads((tmp_path / "events.jsonl").read_text().splitlines()[-1])
-    assert last["event"] == "stopped"
 
 
 def test_a_sessions_directory_of_somebody_else_ends_it_with_status_2(

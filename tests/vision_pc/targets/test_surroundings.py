@@ -40,14 +40,14 @@ def board(square_m: float, distance_m: float, middle: bool = False) -> Board:
 
 def candidates(board: Board) -> tuple[Candidate, ...]:
     with pytest.raises(TargetRefused) as caught:
-        at_click(board.seen, Click("left", board.pixel))
+        at_click(board.seen, Click(board.pixel))
     assert caught.value.cause == "target.ambiguous", caught.value
     return caught.value.candidates
 
 
 def taken(board: Board, candidate: Candidate) -> TargetObservation | TargetRefused:
     try:
-        return at_click(board.seen, Click("left", board.pixel, other=np.array(candidate.right_px)))
+        return at_click(board.seen, Click(board.pixel, other=np.array(candidate.right_px)))
     except TargetRefused as refused:
         return refused
 
@@ -72,12 +72,12 @@ def test_a_place_in_the_other_eye_that_looks_like_nothing_there_is_refused() -> 
     first, second = sorted(each.right_px[0] for each in candidates(wall))[:2]
     between = np.array([0.5 * (first + second), candidates(wall)[0].right_px[1]])
     with pytest.raises(TargetRefused):
-        at_click(wall.seen, Click("left", wall.pixel, other=between))
+        at_click(wall.seen, Click(wall.pixel, other=between))
 
 
 def test_a_black_square_of_a_board_is_no_hole_farther_away() -> None:
     wall = board(0.025, 1.0, middle=True)
     with pytest.raises(TargetRefused) as caught:
-        at_click(wall.seen, Click("left", wall.pixel))
+        at_click(wall.seen, Click(wall.pixel))
     assert caught.value.cause in ("target.ambiguous", "target.contradicted")
     assert caught.value.candidates

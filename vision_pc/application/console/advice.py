@@ -1,5 +1,9 @@
 """What to do about a cause: one sentence for the person who has to."""
 
+_TOKEN = (
+    "in containers `docker compose exec vision cat /var/lib/longreach-tokens/operate`,"
+    " else the file of vision.api.tokens.operate"
+)
 _OF_CAUSE = {
     "fault.plant_link_lost": "Look after the fieldbus and the plant; then reset and enable.",
     "fault.plant_cycle_frozen": "The plant stands still: start it anew, then reset and enable.",
@@ -20,7 +24,6 @@ _OF_CAUSE = {
     "link.plant_silent": "The controller does not hear the plant: look after the fieldbus and the plant.",
     "link.camera_missing": "Is the camera connected, or the emulator running?",
     "link.camera_refused": "Set vision.camera.genicam to what this camera can do.",
-    "link.address_taken": "Give each camera an address of this machine, and one server.",
     "measurement.camera.unpaired": "Trigger both cameras by one line, or by software; then go on.",
     "measurement.camera.clock": "Set vision.camera.genicam.clock to own, or synchronise the cameras by PTP.",
     "link.camera_silent": "No picture comes: check the camera and its cable. Nothing is measured meanwhile.",
@@ -28,8 +31,9 @@ _OF_CAUSE = {
     "link.wrong_arm": "Vision and controller have different arm.yaml files: give both the same.",
     "link.session_occupied": "Another client holds the controller: end it, or wait.",
     "machine.begun_anew": "Reset, enable, turn parallel, calibrate; click the targets again.",
-    "machine.overloaded": "Close other work on this machine.",
-    "machine.no_real_time": "Keep the machine free of other work, or allow the services the real-time class.",
+    "clock.unanswered": "See whether that service runs; time goes on when it answers, or has ended.",
+    "refused.clock_held": "Let time go: the button of the console, or PUT /clock with goes always.",
+    "refused.wall_clock": "Start the machine by the plant's clock: `longreach up --clock plant`.",
     "service.crashed": "Read the service's log for what it did last; then reset and enable.",
     "recording.unwritable": "Events cannot be recorded: look after the disk.",
     "refused.asked_too_late": "The network held it up. Look at the machine, then ask once more.",
@@ -46,10 +50,11 @@ _OF_CAUSE = {
     "refused.role": "You may look and stop. To move the arm, sign in with the operator's token.",
     "refused.emergency_latched": "Make sure that all is safe; release, reset, enable.",
     "refused.error_latched": "See the alarm for its cause; then reset and enable.",
-    "refused.no_trials": "Start the controller anew, with controller.excitation.enabled=true.",
     "refused.stopping": "Wait until the arm rests, then repeat.",
     "refused.target_lost": "Click it again, or forget it.",
     "refused.unknown_target": "Click a place in the picture first.",
+    "measurement.in_doubt": "Hold it still, then look twice, 30 s apart, or calibrate anew. Who knows that it"
+    " stands still may end the doubt: DELETE /doubt.",
     "measurement.object_not_seen": "Bring the object's markers into the left eye's picture, well lit;"
     " without markers, click a target in it.",
     "measurement.tool_not_seen": "Bring the tool's marker into the left eye's picture, well lit.",
@@ -72,7 +77,6 @@ _OF_CAUSE = {
     "measurement.turn_too_large": "Turn the tool nearer to the target by jogging, then repeat the step.",
     "measurement.not_settled": "The arm did not come to rest: look for what shakes it, then repeat the step.",
     "measurement.play_too_wide": "The joints have too much play for that: use another method.",
-    "measurement.play_unseen": "Keep the view free and the scene lit; then repeat.",
     "measurement.odometry_jump": "Wait until the foreign SLAM holds its map, then repeat the step.",
     "measurement.odometry_scale": "Let the foreign SLAM give metres of this camera; then repeat the step.",
     "measurement.odometry_clock": "Let the foreign SLAM stamp poses with the pictures' Unix times.",
@@ -82,7 +86,7 @@ _OF_CAUSE = {
     "measurement.camera_silent": "No picture comes: check the camera and its cable.",
     "measurement.no_frames": "No picture comes: check the camera and its cable.",
     "measurement.no_picture": "No picture comes: check the camera and its cable.",
-    "measurement.hand_eye.cabinet_not_seen": "Bring the cabinet's marker into the left picture, well lit.",
+    "measurement.hand_eye.another_arm": "Give the vision service the arm's own arm.yaml (--arm).",
     "measurement.hand_eye.corner_noise": "Take the samples of largest residual again, or leave them out.",
     "measurement.hand_eye.exchanged": "Exchange the two lists of poses, or invert one of them.",
     "measurement.hand_eye.few_samples": "Take more samples.",
@@ -91,7 +95,6 @@ _OF_CAUSE = {
     " of the emulated worlds hand_eye has one.",
     "measurement.hand_eye.motions_differ": "Check the samples' order, and that the marker stands still.",
     "measurement.hand_eye.no_consensus": "Take the samples again, the arm at rest; check the marker's size.",
-    "measurement.hand_eye.no_corners": "Choose another solver: these samples have no corners.",
     "measurement.hand_eye.no_pose": "Begin where the arm may turn further, the marker in the middle.",
     "measurement.hand_eye.no_solution": "Take more samples that turn about different axes.",
     "measurement.hand_eye.noise": "Take the samples of largest residual again, or leave them out.",
@@ -100,12 +103,10 @@ _OF_CAUSE = {
     "measurement.hand_eye.scale": "Check the printed size of marker or board, and the unit of the poses.",
     "measurement.hand_eye.sdp": "Choose another solver, such as robust.",
     "measurement.hand_eye.singular": "Take more samples that turn about different axes.",
-    "measurement.hand_eye.target_not_seen": "Bring the target into the left eye's picture, well lit.",
     "measurement.hand_eye.too_few_samples": "Take more samples.",
     "measurement.hand_eye.too_little_rotation": "Take samples that turn further.",
     "measurement.hand_eye.wrong_marker": "Hang the session's own marker, or begin one for this.",
     "refused.hand_eye.complete": "All samples are taken: solve.",
-    "refused.hand_eye.no_proposal": "Drive to the next pose first.",
     "refused.hand_eye.no_sample": "Take that sample first.",
     "refused.hand_eye.no_session": "Begin or resume a session first.",
     "refused.hand_eye.none": "This service has no hand-eye calibration: start it with one.",
@@ -157,10 +158,8 @@ _OF_CAUSE = {
     "refused.key_reused": "Use a new Idempotency-Key for another request.",
     "refused.key_spent": "Use a new Idempotency-Key.",
     "refused.no_look_yet": "Look first: POST /operations/look.",
-    "refused.no_token": "Sign in with the token: in containers `docker compose exec vision cat"
-    " /var/lib/longreach-tokens/operate`, else the file of vision.api.tokens.operate.",
-    "refused.wrong_token": "Take the token from the file of vision.api.tokens.operate; it changes when it"
-    " is made anew.",
+    "refused.no_token": f"Sign in with the token: {_TOKEN}.",
+    "refused.wrong_token": f"Take the token of now: {_TOKEN}.",
     "refused.not_negotiated": "Use a controller of protocol 1.1 or newer, or another program.",
     "refused.not_streaming": "The controller ended the stream: repeat the step.",
     "refused.overtaken": "Another reference came in between: one client at a time.",
@@ -190,6 +189,8 @@ _OF_CAUSE = {
     "refused.stale": "The reference came too late: close other work, look after the network; then repeat.",
     "refused.cancelled": "It was cancelled. Repeat the step when you are ready.",
     "refused.lost": "Repeat the step.",
+    "refused.board.counts": "Give the columns and rows of the board in the pictures, or its file.",
+    "refused.board.spacing": "Give the tags' side and spacing as Kalibr has it: parts of the side.",
     "refused.hand_eye.camera_covariance": "Give a covariance of the lens that is symmetric and positive.",
     "refused.hand_eye.count": "Give as many poses of the hand as of the camera.",
     "refused.hand_eye.duplicate": "Leave out the sample that is there twice.",
@@ -197,7 +198,6 @@ _OF_CAUSE = {
     "refused.hand_eye.left_handed": "Mirrored poses: check the axes of the file.",
     "refused.hand_eye.marker_id": "Hang the marker that the session names.",
     "refused.hand_eye.name": "Use letters, digits, - and _ for the session's name.",
-    "refused.hand_eye.no_drawing": "Begin the session with a drawing of the cabinet.",
     "refused.hand_eye.not_a_pose": "Give poses: a rotation and three numbers in metres.",
     "refused.hand_eye.not_finite": "Give numbers.",
     "refused.hand_eye.not_orthonormal": "Give rotations: check the file's convention.",
@@ -244,17 +244,8 @@ _OF_AREA = {
 _ELSE = "See the event log of the vision PC."
 
 
-_LATE = ("link", "measurement", "motion", "fault")  # areas whose causes a machine that cannot keep up has
-_OVERLOADED = "This machine does not keep up: close other work on it first. "
-
-
-def advice(cause: str, overloaded: bool = False) -> str:
-    """What to do about ``cause``; of a cause without a sentence of its own, that of its area.
-
-    ``overloaded``: whether the machine keeps up; where it does not, that comes first.
-    """
+def advice(cause: str) -> str:
+    """What to do about ``cause``; of a cause without a sentence of its own, that of its area."""
     if cause.startswith("refused.fault_"):  # a motion that a fault ended
         cause = f"fault.{cause.removeprefix('refused.fault_')}"
-    area = cause.partition(".")[0]
-    sentence = _OF_CAUSE.get(cause) or _OF_AREA.get(area, _ELSE)
-    return _OVERLOADED + sentence if overloaded and area in _LATE else sentence
+    return _OF_CAUSE.get(cause) or _OF_AREA.get(cause.partition(".")[0], _ELSE)

@@ -9,14 +9,16 @@ from vision_pc.application.console.advice import advice
 
 URGENT, HIGH, LOW = 1, 2, 3  # at once; soon; when there is time
 OFF_DELAY_S = 2.0
+CRASHED = "service.crashed"
 _KEPT = 100
 
 
 class Condition(NamedTuple):
-    """Something that is wrong at present. ``priority``: URGENT, HIGH or LOW."""
+    """Something that is wrong at present. ``priority``: URGENT, HIGH or LOW. ``began_s`` None: now."""
 
     priority: int
     detail: str
+    began_s: float | None = None
 
 
 class Alarm(NamedTuple):
@@ -52,10 +54,10 @@ class AlarmList:
             if now_s - gone_s >= OFF_DELAY_S:
                 self._ended.appendleft(self._active.pop(cause)._replace(ended_s=gone_s))
                 del self._gone_s[cause]
-        for cause, (priority, detail) in conditions.items():
+        for cause, (priority, detail, began_s) in conditions.items():
             self._gone_s.pop(cause, None)
-            known = self._active.get(cause)
-            new = Alarm(next(self._numbers), cause, priority, detail, now_s, None, self._times(cause) + 1)
+            known, came_s = self._active.get(cause), now_s if began_s is None else began_s
+            new = Alarm(next(self._numbers), cause, priority, detail, came_s, None, self._times(cause) + 1)
             self._active[cause] = new if known is None else known._replace(priority=priority, detail=detail)
             self._forget(cause)
 
@@ -74,19 +76,21 @@ class AlarmList:
 
     @property
     def rows(self) -> list[Alarm]:
-        """The active ones, the most urgent and then the newest first; then those that ended, newest first."""
-        active = sorted(self._active.values(), key=lambda alarm: (alarm.priority, -alarm.number))
+        """The active ones, the most urgent first, of those a crash, which has others follow, then the newest;
+        then those that ended, newest first.
+        """
+        active = sorted(self._active.values(), key=lambda a: (a.priority, a.cause != CRASHED, -a.number))
         return [*active, *self._ended]
 
 
-def alarm_json(alarm: Alarm, overloaded: bool = False) -> dict[str, Any]:
-    """An alarm with what to do about it; ``overloaded``: the machine does not keep up."""
+def alarm_json(alarm: Alarm) -> dict[str, Any]:
+    """An alarm with what to do about it."""
     return {
         "number": alarm.number,
         "cause": alarm.cause,
         "priority": alarm.priority,
         "detail": alarm.detail,
-        "advice": advice(alarm.cause, overloaded),
+        "advice": advice(alarm.cause),
         "began_at": alarm.began_s,
         "ended_at": alarm.ended_s,
         "count": alarm.times,

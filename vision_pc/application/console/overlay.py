@@ -1,7 +1,7 @@
 """What was detected, in pixels of the left eye, for a page that draws it over the picture."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,17 +16,11 @@ _ELLIPSE_POINTS = 48
 JSON = dict[str, Any]
 
 
-class PredictedEllipse(NamedTuple):
-    """The 95 % ellipse of the error in camera axes: mean (x, y), half axes (m), angle of the first (rad)."""
+def overlay(seen: Seen, clearance_m: float, tolerance_m: float, predicted: JSON | None) -> JSON:
+    """Outlines, axes, the error as an arrow, the tolerance, the ellipse of ``predicted`` (as the API has it).
 
-    mean_m: tuple[float, float]
-    major_m: float
-    minor_m: float
-    angle: float
-
-
-def overlay(seen: Seen, clearance_m: float, tolerance_m: float, predicted: PredictedEllipse | None) -> JSON:
-    """Outlines, axes, the error as an arrow, the tolerance and the told ellipse; px, none where not seen."""
+    All in px; None where not seen.
+    """
     observation, camera, tool_id = seen
     X_CM, X_CO = observation.X_CM, observation.X_CO
     drawn: JSON = {
@@ -55,9 +49,7 @@ def overlay(seen: Seen, clearance_m: float, tolerance_m: float, predicted: Predi
     return drawn
 
 
-def _aim(
-    camera: CameraCalibration, aim: Array, tolerance_m: float, predicted: PredictedEllipse | None
-) -> JSON:
+def _aim(camera: CameraCalibration, aim: Array, tolerance_m: float, predicted: JSON | None) -> JSON:
     """Where the tool marker's centre shall be, the square of ±tolerance around it, the told ellipse."""
     square = aim + tolerance_m * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     at = _pixels(camera, aim[None])
@@ -69,13 +61,14 @@ def _aim(
     }
 
 
-def _around(predicted: PredictedEllipse) -> Array:
-    """Points (n, 3) of the ellipse of the error."""
+def _around(predicted: JSON) -> Array:
+    """Points (n, 3) of the ellipse of the error, m."""
+    ellipse, mean = predicted["ellipse_95_mm"], predicted["mean_mm"]
     t = np.linspace(0.0, 2.0 * math.pi, _ELLIPSE_POINTS, endpoint=False)
-    c, s = math.cos(predicted.angle), math.sin(predicted.angle)
-    u, v = predicted.major_m * np.cos(t), predicted.minor_m * np.sin(t)
-    x, y = predicted.mean_m[0] + c * u - s * v, predicted.mean_m[1] + s * u + c * v
-    return np.column_stack([x, y, np.zeros_like(t)])
+    c, s = (f(math.radians(ellipse["angle_deg"])) for f in (math.cos, math.sin))
+    u, v = ellipse["major"] * np.cos(t), ellipse["minor"] * np.sin(t)
+    x, y = mean["x"] + c * u - s * v, mean["y"] + s * u + c * v
+    return 1e-3 * np.column_stack([x, y, np.zeros_like(t)])
 
 
 def _axes(camera: CameraCalibration, X: Array) -> JSON | None:

@@ -1,4 +1,4 @@
-"""The guided hand-eye session: check, propose, go, sample, and solve, over the arm and its camera.
+"""The guided hand-eye session: check, sample, drive to the next pose, and solve, over the arm and its camera.
 
 Each step that changes the session writes it to the disk before it answers. A step that fails changes nothing
 but the list of refused poses.
@@ -10,41 +10,47 @@ import numpy as np
 
 from nominal_arm.dimensions import Dimensions
 from protocol.errors import MeasurementFailed, RequestRefused
-from vision_pc.application.hand_eye.responses import check_json, sample_json
-from vision_pc.application.hand_eye.sensing import (
-    HandEyeSight,
-    Pictures,
-    States,
-    back_to_start,
-    ended_in_fault,
-    impossible,
-)
-from vision_pc.application.hand_eye.steps import (
-    HandArrival,
-    NextPose,
-    SessionStore,
-    SolvedSession,
-    StartCheck,
-    TakenSample,
-    Targets,
+from vision_pc.application.camera_eyes import CameraEyes
+from vision_pc.application.hand_eye.responses import (
+    arrival_json,
     believed,
-    checked,
-    solved,
-    verdict_of,
+    check_json,
+    sample_json,
+    session_json,
+    solved_json,
 )
+from vision_pc.application.hand_eye.session_store import SessionStore
 from vision_pc.application.ports import Log, StoppableArm
+from vision_pc.application.reference_link import ReferenceLink
+from vision_pc.application.results import JSON
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig
-from vision_pc.core.hand_eye.guided import sampling as guided_sampling
-from vision_pc.core.hand_eye.guided import views as guided_views
+from vision_pc.core.hand_eye.guided import sampling, solution, views
 from vision_pc.core.hand_eye.guided.sampling import Proposal
-from vision_pc.core.hand_eye.guided.session import Sample, Session
-from vision_pc.core.hand_eye.guided.target import TargetLook
+from vision_pc.core.hand_eye.guided.session import Sample, Session, proposal_json
+from vision_pc.core.hand_eye.guided.target import TargetLook, look_at_target, target_settings
+from vision_pc.core.hand_eye.samples import pose_pairs
+from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.ports import ArmView, Report
 from vision_pc.core.se3 import Array
+from vision_pc.core.types import FrameObservation
 
 _PATIENCE = 60  # refused proposals in a row before ``next_pose`` gives up
 _STUCK = 6  # and before it goes back to the start
+_MOST_MOVED_MRAD = 1.0  # [D] an encoder that moves by more while a sample is taken spoils it
+_IMPOSSIBLE = {
+    f"refused.{reason}"
+    for reason in (
+        "outside_workspace", "joint_limit", "unreachable", "singular", "too_fast", "too_far",
+        "fault_joint_limit", "fault_workspace_limit", "fault_following_error",
+    )
+}  # fmt: skip
+"""Causes of a pose that is not to be tried again: it was refused for its path, or that ended in a fault."""
+
+
+def _ended_in_fault(error: RequestRefused) -> bool:
+    """Whether the arm has come to rest by a fault, and moves again only after RESET and ENABLE."""
+    return error.cause.startswith("refused.fault_")
 
 
 class GuidedCalibration:
@@ -53,23 +59,24 @@ class GuidedCalibration:
     def __init__(
         self,
         arm: StoppableArm,
-        pictures: Pictures,
-        states: States,
+        eyes: CameraEyes,
+        link: ReferenceLink,
         config: VisionConfig,
         nominal: Dimensions,
         log: Log,
         store: SessionStore,
     ) -> None:
         self._arm = arm
-        self._pictures = pictures
+        self._eyes = eyes
+        self._link = link
         self._config = config
         self._nominal = nominal
-        self._sight = HandEyeSight(arm, pictures, states, config)
         self._log = log
         self.store = store
         self.defaults = config.hand_eye
+        self._camera = calibration(config.camera)
+        self._last: FrameObservation | None = None
         self._session: Session | None = None
-        self.X_TC: Array | None = None
 
     @property
     def session(self) -> Session:
@@ -78,8 +85,8 @@ class GuidedCalibration:
             raise RequestRefused("refused.hand_eye.no_session", "no session is open: start or resume one")
         return self._session
 
-    async def start(self, name: str, settings: GuidedSettings, seed: int, report: Report) -> StartCheck:
-        """Checks the starting pose and opens a session there, with no sample yet.
+    async def start(self, name: str, settings: GuidedSettings, seed: int, report: Report) -> JSON:
+        """The verdict on the starting pose; a session is open there, with no sample yet.
 
         Raises RequestRefused (``refused.hand_eye.session_exists``), MeasurementFailed when the marker is not
         seen, stands too obliquely, or leaves too few poses to go to.
@@ -90,82 +97,49 @@ class GuidedCalibration:
                 f"session '{name}' is on the disk: resume it, or take another",
             )
         report(0.1, "looking at the marker")
-        seen, view, _ = await self._sight.marker(settings)
+        seen, view, _ = await self._marker(settings)
         report(0.6, "looking for poses")
-        around = guided_views.surroundings(
-            self._sight.camera, view.X_BT, seen.X_CM, self._config.markers.tool.carried_m, settings
+        carried = self._config.markers.tool.carried_m
+        around = views.surroundings(self._camera, view.X_BT, seen.X_CM, carried, settings)
+        session = Session(name, seed, settings, around, self._nominal[0])
+        alone = pose_pairs(view.X_BT[None], seen.X_CP[None])
+        rng = np.random.default_rng([seed, 1, 0])
+        proposal = await self._eyes.aside(
+            lambda: sampling.propose(sampling.believed(alone, around, settings), around, settings, rng)
         )
-        links, boom = self._nominal
-        session = Session(name, seed, settings, around, links, boom.wrist_to_tool)
-        check = await self._pictures.aside(lambda: checked(session, view.X_BT, seen))
         self._open(session)
-        self.X_TC = None
-        self._log.write("hand_eye_started", session=name, **check_json(check))
-        return check
+        check = check_json(session, seen, proposal.choices)
+        self._log.write("hand_eye_started", session=name, **check)
+        return check | {"session": session_json(session)}
 
     def resume(self, name: str) -> Session:
-        """Opens a session from the disk."""
-        self._session = self.store.load(name, self._sight.camera)
-        self._sight.forget()
-        self.X_TC = None
+        """Opens a session from the disk; the marker is looked for in the whole picture again."""
+        self._session = self.store.load(name, self._camera)
+        self._last = None
         self._log.write("hand_eye_resumed", session=name, samples=len(self._session.samples))
         return self._session
 
-    async def propose(self, informative: bool = True) -> Proposal:
-        """The next pose: the most informative one, or any that passes the bounds."""
+    async def sample(self, report: Report) -> JSON:
+        """Takes a sample where the arm stands."""
         session = self.session
-        if not session.samples:
-            raise RequestRefused("refused.hand_eye.no_sample", "take a sample at the starting pose first")
-        proposal = await self._pictures.aside(lambda: self._proposal(session, informative))
-        now = self.session  # it may have lost a sample meanwhile
-        self._open(replace(now, proposal=proposal, proposed=now.proposed + 1))
-        return proposal
-
-    def _proposal(self, session: Session, informative: bool) -> Proposal:
-        rng = np.random.default_rng([session.seed, 2, session.proposed])
-        belief = believed(session)
-        return guided_sampling.propose(
-            belief, session.around, session.settings, rng, session.refused, informative
-        )
-
-    async def go(self, report: Report) -> HandArrival:
-        """Drives to the proposed pose. One that the controller refuses is remembered, and the arm rests."""
-        proposal = self.session.proposal
-        if proposal is None:
-            raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
-        report(0.1, "moving")
-        view = await self._drive_to(proposal.X_BT, learn=True)
-        return HandArrival(view, proposal.X_BT)
-
-    async def sample(self, report: Report, name: str | None = None) -> TakenSample:
-        """Takes a sample where the arm stands, in the place of sample ``name`` if that is given."""
-        session = self.session
-        if name is not None:
-            session.sample(name)
-        elif session.complete:
+        if session.complete:
             raise RequestRefused(
                 "refused.hand_eye.complete",
                 f"{len(session.samples)}/{session.settings.poses} samples are taken: solve, or remove one",
             )
         report(0.2, "looking at the marker")
-        seen, view, moved = await self._sight.marker(session.settings)
+        seen, view, moved = await self._marker(session.settings)
         session = self.session
-        if name is None:
-            session, name = session.next_name()
-        sample = _sample_of(name, seen, view, session.settings, moved)
-        self._open(session.with_sample(sample))
-        session = self.session
-        belief = await self._pictures.aside(lambda: believed(session))
-        taken = TakenSample(name, session, seen, moved, belief)
-        self._log.write("hand_eye_sample", session=session.name, **sample_json(taken))
+        sample = Sample(
+            "", view.X_BT, seen.X_CP, seen.covariance, seen.corners_left, session.settings.marker_id,
+            view.settled, moved, view.q_meas,
+        )  # fmt: skip
+        session = session.with_sample(sample)
+        self._open(session)
+        belief = await self._eyes.aside(lambda: believed(session))
+        taken = sample_json(session, belief, seen, moved)
+        self._log.write("hand_eye_sample", session=session.name, **taken)
         return taken
-
-    async def redo(self, name: str, report: Report) -> TakenSample:
-        """Drives back to a sample's pose and takes it again; the old one stays until the new one is there."""
-        old = self.session.sample(name)
-        report(0.1, f"moving back to sample {name}")
-        await self._drive_to(old.X_BT, learn=False)
-        return await self.sample(report, name)
 
     def remove(self, name: str) -> Session:
         """Leaves out a sample for good."""
@@ -173,70 +147,105 @@ class GuidedCalibration:
         self._log.write("hand_eye_removed", session=self.session.name, sample=name)
         return self.session
 
-    async def next_pose(self, report: Report, informative: bool = True) -> NextPose:
-        """Proposes and drives until the controller accepts a pose; stuck in a corner, from the start again.
+    async def next_pose(self, report: Report, informative: bool = True) -> JSON:
+        """Drives to the most informative pose, or any in bounds, until the controller accepts one.
 
-        Raises RequestRefused with what the controller said last. After a fault the arm rests, and nothing
-        more is tried.
+        Poses that it refuses are remembered; stuck in a corner, the arm goes back to the start. Raises
+        RequestRefused with what the controller said last. After a fault the arm rests, and nothing more is
+        tried.
         """
         for count in range(1, _PATIENCE + 1):
-            proposal = await self.propose(informative)
+            proposal = await self._proposal(informative)
+            report(0.1, "moving")
             try:
-                return NextPose(proposal, await self.go(report))
+                return proposal_json(proposal) | await self._arrival(proposal.X_BT)
             except RequestRefused as error:
-                if count == _PATIENCE or ended_in_fault(error) or not impossible(error):
+                if error.cause not in _IMPOSSIBLE:
+                    raise
+                self._open(replace(self.session, refused=(*self.session.refused, proposal.X_BT)))
+                if count == _PATIENCE or _ended_in_fault(error):
                     raise
             if count % _STUCK == 0:
-                report(0.1, "moving back to the start")
-                await back_to_start(self._arm, self.session)
+                await self.back(report)
         raise AssertionError("unreachable")
 
-    async def back(self, report: Report) -> HandArrival:
-        """Drives to the session's starting pose, over its samples where the straight way is refused."""
-        report(0.1, "moving back to the start")
-        view = await back_to_start(self._arm, self.session)
-        return HandArrival(view, self.session.around.X_BT_start)
+    async def _proposal(self, informative: bool) -> Proposal:
+        session = self.session
+        if not session.samples:
+            raise RequestRefused("refused.hand_eye.no_sample", "take a sample at the starting pose first")
+        rng = np.random.default_rng([session.seed, 2, session.proposed])
+        bounds = session.around, session.settings, rng, session.refused, informative
+        proposal = await self._eyes.aside(lambda: sampling.propose(believed(session), *bounds))
+        now = self.session  # it may have lost a sample meanwhile
+        self._open(replace(now, proposed=now.proposed + 1))
+        return proposal
 
-    async def solve(self) -> SolvedSession:
-        """X by the certified robust solver with all that is known about it, others beside it, a verdict."""
+    async def _arrival(self, X_BT: Array) -> JSON:
+        return arrival_json(await self._arm.move_to(X_BT), X_BT)
+
+    async def back(self, report: Report) -> JSON:
+        """Drives to the session's starting pose: straight there, or over its samples, the newest first.
+
+        What led to a sample leads back from it, where the straight path would turn the wrist through its
+        limits. Raises RequestRefused with what the controller said last.
+        """
+        report(0.1, "moving back to the start")
+        session = self.session
+        start = session.around.X_BT_start
+        for sample in (None, *reversed(session.samples)):
+            try:
+                if sample is not None:
+                    await self._arm.move_to(sample.X_BT)
+                return await self._arrival(start)
+            except RequestRefused as error:
+                if error.cause not in _IMPOSSIBLE or _ended_in_fault(error):
+                    raise
+                refusal = error
+        raise refusal
+
+    async def solve(self) -> JSON:
+        """X by the certified robust solver with all that is known about it."""
         session = self.session
         if not session.samples:
             raise MeasurementFailed(
                 "measurement.hand_eye.too_few_samples", "0 samples are too few: take some"
             )
-        answer = await self._pictures.aside(lambda: solved(session))
-        self.X_TC = answer.solution.result.X
-        self._log.write("hand_eye_solved", session=session.name, verdict=verdict_of(answer.solution).text)
+        answer = solved_json(await self._eyes.aside(lambda: solution.solve(session)))
+        self._log.write("hand_eye_solved", session=session.name, verdict=answer["verdict"])
         return answer
-
-    async def locate(self, report: Report) -> Targets:
-        """The cabinet's targets in the hand and in the base, seen from here, with the X solved last.
-
-        Raises RequestRefused (``refused.hand_eye.not_solved``, ``.no_drawing``), MeasurementFailed as
-        ``CabinetLocator.locate``.
-        """
-        if self.X_TC is None:
-            raise RequestRefused("refused.hand_eye.not_solved", "no X yet: solve first")
-        report(0.2, "looking at the cabinet")
-        X_BT, places = await self._sight.cabinet(self.defaults)
-        return Targets(X_BT, self.X_TC, places)
-
-    async def _drive_to(self, X_BT: Array, learn: bool) -> ArmView:
-        session = self.session
-        try:
-            return await self._arm.move_to(X_BT)
-        except RequestRefused as error:
-            if learn and impossible(error):
-                self._open(replace(session, proposal=None, refused=(*session.refused, (X_BT, str(error)))))
-            raise
 
     def _open(self, session: Session) -> None:
         self.store.save(session)
         self._session = session
 
+    async def _marker(self, settings: GuidedSettings) -> tuple[TargetLook, ArmView, float]:
+        """The marker, the arm there, and by how many mrad an encoder moved meanwhile.
 
-def _sample_of(name: str, seen: TargetLook, view: ArmView, settings: GuidedSettings, moved: float) -> Sample:
-    return Sample(
-        name, view.X_BT, seen.X_CP, seen.covariance, seen.corners_left, settings.marker_id, view.settled,
-        moved, view.q_meas,
-    )  # fmt: skip
+        Raises MeasurementFailed (``measurement.hand_eye.not_settled``, and what ``look_at_target`` raises).
+        """
+        before = await self._settled_view()
+        pictures = await self._eyes.pairs_at_rest(settings.frames)
+        after = await self._arm.view()
+        moved = 1e3 * float(np.abs(after.q_meas - before.q_meas).max())
+        if moved > _MOST_MOVED_MRAD or before.motion_id != after.motion_id:
+            raise MeasurementFailed(
+                "measurement.hand_eye.not_settled",
+                f"the arm moved by {moved:.2f} mrad while the sample was taken, "
+                f"limit {_MOST_MOVED_MRAD:g} mrad",
+            )
+        known, expected = target_settings(self._config.markers, settings), self._config.markers.sizes
+        camera, look, last = self._camera, self._config.look, self._last
+        seen = await self._eyes.aside(
+            lambda: look_at_target(pictures.pairs, camera, known, look, settings, last, frozenset(expected))
+        )
+        self._last = seen.last
+        return seen, after._replace(X_BT=pictures.X_BT), moved
+
+    async def _settled_view(self) -> ArmView:
+        """The view once the controller's flag says settled, or the time for it has passed."""
+        view = await self._arm.view()
+        began_ns, timeout_ns = view.time_ns, 1e9 * self._config.motion.settle_timeout_s
+        while not view.settled and view.time_ns - began_ns < timeout_ns:
+            await self._link.next_state()
+            view = await self._arm.view()
+        return view

@@ -1,53 +1,41 @@
-"""What the steps of a guided session return, as the API and the event log have it: mm and degrees."""
+"""What the steps of a guided session answer, to the API and the event log: mm and degrees."""
 
 import math
 from dataclasses import asdict
 
 import numpy as np
 
-from protocol.errors import MeasurementFailed
-from vision_pc.application.hand_eye.steps import (
-    HandArrival,
-    NextPose,
-    OtherMethod,
-    SolvedSession,
-    StartCheck,
-    TakenSample,
-    Targets,
-    believed,
-    left_out,
-    verdict_of,
-)
 from vision_pc.application.results import JSON, pose_json
 from vision_pc.core import se3
+from vision_pc.core.hand_eye.guided import sampling
 from vision_pc.core.hand_eye.guided.sampling import Belief
-from vision_pc.core.hand_eye.guided.session import Session, proposal_json
+from vision_pc.core.hand_eye.guided.session import Session
 from vision_pc.core.hand_eye.guided.solution import GuidedSolution
 from vision_pc.core.hand_eye.guided.target import TargetLook
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array
 
+WANTED_STD_M = 0.003
 
-def check_json(check: StartCheck) -> JSON:
-    """The verdict on the starting pose."""
-    settings = check.session.settings
-    std_m, std_rad = check.promised_std
+
+def believed(session: Session) -> Belief:
+    """What the session's samples and the tape measure say of X and Z."""
+    return sampling.believed(session.pairs(), session.around, session.settings)
+
+
+def check_json(session: Session, seen: TargetLook, choices: int) -> JSON:
+    """The verdict on the starting pose, around which ``choices`` poses keep all bounds."""
+    settings = session.settings
     return {
-        "marker": marker_json(check.seen),
-        "poses_in_view": f"{check.choices} of {settings.candidates}",
-        "promised_std_mm": 1e3 * std_m,
-        "promised_std_deg": math.degrees(std_rad),
+        "marker": marker_json(seen),
+        "poses_in_view": f"{choices} of {settings.candidates}",
         "verdict": f"marker {settings.marker_id} seen, 0/{settings.poses}: ready",
     }
 
 
-def start_json(check: StartCheck) -> JSON:
-    """The verdict on the starting pose, and the session that begins there."""
-    return check_json(check) | {"session": session_json(check.session)}
-
-
 def session_json(session: Session) -> JSON:
-    """The session: its samples with residuals, and the proposal."""
+    """The session: its samples with residuals."""
     belief = believed(session) if session.samples else None
     return {
         "name": session.name,
@@ -57,57 +45,34 @@ def session_json(session: Session) -> JSON:
         "samples": [] if belief is None else residuals(session, belief),
         "std_mm": None if belief is None else 1e3 * belief.std[0],
         "std_deg": None if belief is None else math.degrees(belief.std[1]),
-        "proposal": None if session.proposal is None else proposal_json(session.proposal),
         "refused": len(session.refused),
     }
 
 
-def arrival_json(arrival: HandArrival) -> JSON:
+def arrival_json(view: ArmView, X_BT_ref: Array) -> JSON:
     """Where the arm stands, and how far from where it was sent."""
-    view = arrival.view
+    away = se3.local(view.X_BT, X_BT_ref)
+    off_m, off_rad = (float(np.linalg.norm(part)) for part in (away[:3], away[3:]))
     return {
         "X_BT_reached": pose_json(view.X_BT),
         "settled": view.settled,
-        "off": off(view.X_BT, arrival.X_BT_ref),
+        "off": {"mm": round(1e3 * off_m, 2), "deg": round(math.degrees(off_rad), 3)},
     }
 
 
-def next_json(done: NextPose) -> JSON:
-    """The proposal, and where the arm stands."""
-    return proposal_json(done.proposal) | arrival_json(done.arrival)
-
-
-def sample_json(taken: TakenSample) -> JSON:
-    """The look, the sample's residual by what is believed, and how well X is known."""
-    row = next(row for row in residuals(taken.session, taken.belief) if row["name"] == taken.name)
-    std_m, std_rad = taken.belief.std
+def sample_json(session: Session, belief: Belief, seen: TargetLook, moved_mrad: float) -> JSON:
+    """The newest sample: its look, its residual by what is believed, and how well X is known."""
+    row = residuals(session, belief)[-1]
+    std_m, std_rad = belief.std
     return {
-        "sample": taken.name,
-        "marker": marker_json(taken.seen),
-        "count": len(taken.session.samples),
-        "moved_mrad": round(taken.moved_mrad, 3),
+        "sample": row["name"],
+        "marker": marker_json(seen),
+        "count": len(session.samples),
+        "moved_mrad": round(moved_mrad, 3),
         "residual_mm": row["residual_mm"],
         "residual_deg": row["residual_deg"],
         "std_mm": 1e3 * std_m,
         "std_deg": math.degrees(std_rad),
-    }
-
-
-def targets_json(found: Targets) -> JSON:
-    """The targets in the camera, in the hand, and in the base."""
-    return {
-        "X_BT": pose_json(found.X_BT),
-        "targets": [
-            {
-                "name": t.name,
-                "p_C_m": t.p_C.tolist(),
-                "p_T_m": found.in_hand(t).tolist(),
-                "p_B_m": found.in_base(t).tolist(),
-                "gap_px": t.gap_px,
-                "correlation": t.correlation,
-            }
-            for t in found.targets
-        ],
     }
 
 
@@ -128,15 +93,6 @@ def residuals(session: Session, belief: Belief) -> list[JSON]:
     ]
 
 
-def off(X: Array, Y: Array) -> JSON:
-    """How far Y is from X."""
-    away = se3.local(X, Y)
-    return {
-        "mm": round(1e3 * float(np.linalg.norm(away[:3])), 2),
-        "deg": round(math.degrees(float(np.linalg.norm(away[3:]))), 3),
-    }
-
-
 def marker_json(seen: TargetLook) -> JSON:
     """What one look at the marker gave."""
     std = np.sqrt(np.diag(seen.covariance))
@@ -152,19 +108,6 @@ def marker_json(seen: TargetLook) -> JSON:
     }
 
 
-def solved_json(answer: SolvedSession) -> JSON:
-    """X with covariance, residuals, proof and verdict, and what other methods make of the samples."""
-    X_TC = answer.solution.result.X
-    return _solution_json(answer.solution) | {"others": [_other_json(o, X_TC) for o in answer.others]}
-
-
-def _other_json(other: OtherMethod, X_TC: Array) -> JSON:
-    X = other.answer
-    if isinstance(X, MeasurementFailed):
-        return {"method": other.name, "failed": f"{X.cause}: {X}"}
-    return {"method": other.name, "p_mm": _milli(X[:3, 3]), "off": off(X, X_TC)}
-
-
 def _milli(values: Array, digits: int = 3) -> list[float]:
     return [round(1e3 * float(v), digits) for v in values]
 
@@ -173,34 +116,43 @@ def _deg(values: Array, digits: int = 4) -> list[float]:
     return [round(math.degrees(float(v)), digits) for v in values]
 
 
-def _solution_json(solution: GuidedSolution) -> JSON:
+def solved_json(solution: GuidedSolution) -> JSON:
+    """X with covariance, residuals, proof and verdict, which counts the errors of arm and camera."""
     result, arm = solution.result, solution.arm
     assert result.covariance is not None
     assert result.certificate is not None
-    verdict = verdict_of(solution)
+    left_out = [name for name, used in zip(result.names, result.inliers, strict=True) if not used]
+    std = np.sqrt(np.diag(solution.covariance))
+    std_m, std_rad = float(np.linalg.norm(std[:3])), float(np.linalg.norm(std[3:]))
+    proven = result.certificate.holds
+    good = proven and std_m <= WANTED_STD_M
+    verdict = (
+        f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
+        f"{math.degrees(std_rad):.3f}°, {'proven global' if proven else 'not proven global'}, "
+        f"{len(left_out)} of {len(result.names)} samples left out"
+    )
     return {
         "method": result.method,
         "X_TC": pose_json(result.X),
         "X_BP": pose_json(result.Z),
         **_uncertainty_json(result.covariance),
         "with_arm": _uncertainty_json(solution.covariance),
-        "arm": arm
-        and {
+        "arm": {
             "zeros_mrad": _milli(arm.zeros),
             "std_mrad": _milli(arm.std),
             "camera_noise": round(arm.camera_noise, 3),
             "play": round(arm.play, 3),
         },
-        "left_out": left_out(result),
+        "left_out": left_out,
         "residuals": [
             {"name": name, "mm": _milli(r[:3]), "deg": _deg(r[3:])}
             for name, r in zip(result.names, result.residuals, strict=True)
         ],
-        "certificate": asdict(result.certificate) | {"holds": result.certificate.holds},
+        "certificate": asdict(result.certificate) | {"holds": proven},
         "observability": result.observability.reason,
         "notes": list(result.notes),
-        "good": verdict.good,
-        "verdict": verdict.text,
+        "good": good,
+        "verdict": verdict,
     }
 
 

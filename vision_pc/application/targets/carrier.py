@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from vision_pc.application.ports import StateSource
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.foreign_poses import PoseFeed
@@ -84,9 +84,9 @@ def _with(
 
 
 class TargetCarrier:
-    """Implements ``vision_pc.application.ports.Attendant`` for the targets of ``targets``."""
+    """Goes along with every look and watch, so that the targets of ``targets`` stay known."""
 
-    def __init__(self, targets: TargetKeeper, sensor: AimedSensor, states: StateSource) -> None:
+    def __init__(self, targets: TargetKeeper, sensor: AimedSensor, states: ReferenceLink) -> None:
         self._targets = targets
         self._sensor = sensor
         self._states = states

@@ -4,8 +4,9 @@ import math
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from foundation.configuration import StrictModel
 from vision_pc.application.results import JSON, degrees, pose_json, xyz
 from vision_pc.config.programs import PositioningSettings
 from vision_pc.core.se3 import Array
@@ -13,19 +14,15 @@ from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import Candidate, TargetObservation
 
-Pixel = float
 
-
-class ClickBody(BaseModel):
-    """A click on one eye's picture, in px of the camera's own pictures (the live right eye is half as large).
+class ClickBody(StrictModel):
+    """A click on the left eye's picture, in px of the camera's own pictures.
 
     ``frame_id`` of the picture that was clicked, among those shown in the last 3 s; None: a fresh one.
     ``kind`` auto: a hole where one is under the click, else the surface. ``other_u_px``, ``other_v_px``: the
-    same place in the other eye, where one click is ambiguous.
+    same place in the right eye, where one click is ambiguous.
     """
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    eye: Literal["left", "right"] = "left"
     u_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[812.4])
     v_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[301.0])
     frame_id: int | None = Field(None, ge=0, lt=2**63, examples=[4711])
@@ -45,7 +42,7 @@ class ClickBody(BaseModel):
         other = None
         if self.other_u_px is not None and self.other_v_px is not None:
             other = np.array([self.other_u_px, self.other_v_px])
-        return Click(self.eye, np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other)
+        return Click(np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other)
 
 
 def target_json(

@@ -1,176 +1,193 @@
-"""What all readers of calibration files share: numbers with their key, matrices, turns, and our value
-made.
-"""
+"""What all readers of calibration files share: entries with their key in refusals, lenses, our value made."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from foundation.configuration import fault_words
+from foundation.numbers_as_written import written_number
 from protocol.errors import ConfigurationError
 from vision_pc.config.choices import LensModel
 from vision_pc.config.stereo_camera import COEFFICIENTS, FORMAT, StereoCalibration
 
 Matrix = NDArray[np.float64]
 
-_SHOWN = 100  # characters: a longer value does not help
+OFF_CENTRE = 0.15  # [D] of width or height: lenses and rectification move principal points by a tenth
 _SQUARE = 2e-3  # how far a printed rotation may be from a rotation
+_FISHEYES = ("equidistant", "fisheye", "KannalaBrandt8")
 
 
 class Pinhole(NamedTuple):
-    """One eye as a file has it: ``K`` (3, 3) px, its lens and coefficients, picture size, and where it is
-    known the covariance of both eyes, this one's numbers first.
-    """
+    """One eye as a file has it: ``K`` (3, 3) px, its lens and coefficients, picture size."""
 
     K: Matrix
     lens: LensModel
     distortion: tuple[float, ...]
     size: tuple[int, int]
-    covariance: tuple[tuple[float, ...], ...] | None = None
 
 
-def refused(path: Path, key: str, found: object, wanted: str) -> ConfigurationError:
-    """The error of a calibration file: what stands where, and what was wanted."""
-    return ConfigurationError("configuration.bad_calibration", f"{path}: {key} = {found!r}: {wanted}")
+def bad_calibration(path: Path, why: str) -> ConfigurationError:
+    """The error of a calibration file."""
+    return ConfigurationError("configuration.bad_calibration", f"{path}: {why}")
 
 
-def missing(path: Path, key: str, wanted: str) -> ConfigurationError:
-    """The error of a calibration file without a key."""
-    return ConfigurationError("configuration.bad_calibration", f"{path}: {key} is missing: {wanted}")
-
-
-def number(path: Path, key: str, value: Any) -> float:
-    """``value`` as a finite number. Raises ConfigurationError."""
-    try:
-        found = float(value)
-    except (TypeError, ValueError) as error:
-        raise refused(path, key, value, "a number is wanted") from error
-    if not math.isfinite(found):
-        raise refused(path, key, value, "a finite number is wanted")
-    return found
-
-
-def matrix(path: Path, key: str, value: Any, shape: tuple[int, int]) -> Matrix:
-    """``value``, rows or a flat list, as a matrix of ``shape``. Raises ConfigurationError."""
-    try:
-        found = np.asarray(value, dtype=np.float64).reshape(shape)
-    except (TypeError, ValueError) as error:
-        raise refused(path, key, value, f"{shape[0]}x{shape[1]} numbers are wanted") from error
-    if not np.isfinite(found).all():
-        raise refused(path, key, value, "finite numbers are wanted")
-    return found
-
-
-def numbers(path: Path, key: str, value: Any) -> tuple[float, ...]:
-    """``value`` as a flat list of finite numbers. Raises ConfigurationError."""
-    if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str):
-        raise refused(path, key, value, "a list of numbers is wanted")
-    return tuple(number(path, key, one) for one in np.ravel(np.asarray(value, dtype=object)))
-
-
-def rotation_vector(path: Path, key: str, R: Matrix) -> Matrix:
-    """The rotation vector (3,) rad of ``R`` (3, 3) turned by less than 180°. Raises ConfigurationError."""
-    if np.abs(R @ R.T - np.eye(3)).max() > _SQUARE or np.linalg.det(R) < 0.0:
-        raise refused(path, key, R.tolist(), "a rotation is wanted (orthonormal, right-handed)")
-    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = float(np.linalg.norm(axis))
-    angle = math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))
-    return np.asarray(axis if sine < 1e-9 else axis * (angle / sine))
-
-
-def rotation(vector: Matrix) -> Matrix:
-    """The rotation (3, 3) of a rotation vector (3,) rad (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle < 1e-12:
-        return np.asarray(np.eye(3) + cross)
-    sine, versine = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
-    return np.asarray(np.eye(3) + sine * cross + versine * cross @ cross)
-
-
-def brown_or_rational(path: Path, key: str, values: Sequence[float]) -> tuple[LensModel, tuple[float, ...]]:
-    """OpenCV's 0, 4, 5, 8, 12 or 14 coefficients as a lens. Raises ConfigurationError.
-
-    The thin prism's and the tilted sensor's (the ninth and later) must be zero: they are not modelled.
+class Entries(NamedTuple):
+    """A mapping of a calibration file; ``place`` stands before its keys in refusals. All methods raise
+    ConfigurationError that names file, key, value and what was wanted.
     """
-    given = tuple(values)
-    if len(given) not in (0, 4, 5, 8, 12, 14):
-        raise refused(path, key, list(given), "4, 5 or 8 coefficients k1 k2 p1 p2 k3 k4 k5 k6 are wanted")
-    if any(given[8:]):
-        raise refused(
-            path,
-            key,
-            list(given),
-            "thin prism and tilted sensor (from the ninth on) are not modelled: calibrate the camera with "
-            "longreach camera calibrate",
-        )
-    if any(given[5:8]):
-        return LensModel.RATIONAL, given[:8]
-    return LensModel.BROWN_CONRADY, (*given[:5], *(0.0 for _ in range(5 - len(given[:5]))))
+
+    path: Path
+    values: Mapping[str, Any]
+    place: str = ""
+
+    def refused(self, key: str, found: object, expected: str) -> ConfigurationError:
+        """The error of a value that is not ``expected``."""
+        return bad_calibration(self.path, f"{self.place}{key} = {found!r}: {expected}")
+
+    def missing(self, key: str, expected: str) -> ConfigurationError:
+        """The error of a key that is not there."""
+        return bad_calibration(self.path, f"{self.place}{key} is missing: {expected}")
+
+    def entry(self, expected: str, *names: str) -> Any:
+        """The value under the first of ``names`` that is there."""
+        for name in names:
+            if name in self.values:
+                return self.values[name]
+        raise self.missing(names[0], expected)
+
+    def number(self, key: str, value: Any = None) -> float:
+        """``value``, or else that of ``key``, as a finite number."""
+        value = self.entry("a number", key) if value is None else value
+        try:
+            return written_number(value)
+        except ValueError as error:
+            raise self.refused(key, value, "a finite number is wanted, in decimal digits") from error
+
+    def numbers(self, key: str, value: Any, expected: int | None = None) -> tuple[float, ...]:
+        """``value``, a list, rows, or a matrix of OpenCV or ROS (rows, cols, data), as a flat list."""
+        if isinstance(value, Mapping) and "data" in value:
+            found = self.numbers(f"{key}.data", value["data"])
+            rows, columns = (self.number(f"{key}.{name}", value.get(name, 1)) for name in ("rows", "cols"))
+            if rows * columns != len(found) and {"rows", "cols"} <= set(value):
+                raise self.refused(
+                    f"{key}.data", list(found), f"rows times cols, {rows * columns:g}, are wanted"
+                )
+        elif not isinstance(value, list | tuple):
+            raise self.refused(key, value, "a list of numbers is wanted")
+        else:
+            lists = list(value) if any(isinstance(one, list) for one in value) else [value]
+            if any(not isinstance(row, list | tuple) or len(row) != len(lists[0]) for row in lists):
+                raise self.refused(key, value, "numbers, or rows of one length, are wanted")
+            found = tuple(self.number(key, "" if one is None else one) for row in lists for one in row)
+        if expected is not None and len(found) != expected:
+            raise self.refused(key, list(found), f"{expected} numbers are wanted, got {len(found)}")
+        return found
+
+    def matrix(self, key: str, value: Any, shape: tuple[int, int]) -> Matrix:
+        """``value``, rows or a flat list, as a matrix of ``shape``."""
+        return np.array(self.numbers(key, value, shape[0] * shape[1])).reshape(shape)
+
+    def pinhole(self, keys: Sequence[str]) -> Matrix:
+        """K (3, 3) px from the entries for fx, fy, cx and cy."""
+        fx, fy, cx, cy = (self.number(key) for key in keys)
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+    def size(self, keys: tuple[str, str], values: Sequence[Any]) -> tuple[int, int]:
+        """Width and height of a picture, px."""
+        found = [self.number(key, value) for key, value in zip(keys, values, strict=True)]
+        for key, value in zip(keys, found, strict=True):
+            if value < 1.0 or not value.is_integer():
+                raise self.refused(key, value, "a whole number of pixels is wanted")
+        return int(found[0]), int(found[1])
+
+    def lens(self, key: str, kind: str, values: Sequence[float]) -> tuple[LensModel, tuple[float, ...]]:
+        """Coefficients of a lens that others call ``kind``: OpenCV's 0, 4, 5, 8, 12 or 14, or a fisheye's 4.
+
+        The thin prism's and the tilted sensor's (the ninth and later) must be zero: they are not modelled.
+        """
+        given = tuple(values)
+        if kind in _FISHEYES:
+            if len(given) != len(COEFFICIENTS[LensModel.FISHEYE]):
+                raise self.refused(key, list(given), "4 coefficients k1 k2 k3 k4 of a fisheye are wanted")
+            return LensModel.FISHEYE, given
+        if len(given) not in (0, 4, 5, 8, 12, 14):
+            raise self.refused(key, list(given), "4, 5 or 8 coefficients k1 k2 p1 p2 k3 k4 k5 k6 are wanted")
+        if any(given[8:]):
+            why = (
+                "thin prism and tilted sensor (from the ninth on) are not modelled: calibrate the camera with"
+            )
+            raise self.refused(key, list(given), f"{why} longreach camera calibrate")
+        if any(given[5:8]):
+            return LensModel.RATIONAL, given[:8]
+        return LensModel.BROWN_CONRADY, (given + (0.0,) * 5)[:5]
 
 
-def equidistant(path: Path, key: str, values: Sequence[float]) -> tuple[LensModel, tuple[float, ...]]:
-    """Four coefficients as a fisheye. Raises ConfigurationError."""
-    if len(values) != len(COEFFICIENTS[LensModel.FISHEYE]):
-        raise refused(path, key, list(values), "4 coefficients k1 k2 k3 k4 of a fisheye are wanted")
-    return LensModel.FISHEYE, tuple(values)
+def inverse(X: Matrix) -> Matrix:
+    """The inverse of a pose (4, 4)."""
+    made = np.eye(4)
+    made[:3, :3], made[:3, 3] = X[:3, :3].T, -X[:3, :3].T @ X[:3, 3]
+    return made
 
 
 def assembled(
-    path: Path, source: str, eyes: tuple[Pinhole, Pinhole], R_RC: Matrix, t_RC: Matrix
+    path: Path, source: str, eyes: Sequence[Pinhole], R_RC: Matrix, t_RC: Matrix
 ) -> StereoCalibration:
-    """The calibration of two eyes; a point p of the left one is at ``R_RC`` p + ``t_RC`` (m) in the right
-    one.
+    """The calibration of two eyes; a point p of the left one is at ``R_RC`` p + ``t_RC`` (m) in the right.
 
     Raises ConfigurationError where the eyes do not fit together.
     """
-    left, right = eyes
+    file, (left, right) = Entries(path, {}), eyes
+    for name, eye in (("left", left), ("right", right)):
+        for k, axis in enumerate(("cx", "cy")):
+            off, most = abs(eye.K[k, 2] - 0.5 * eye.size[k]), OFF_CENTRE * eye.size[k]
+            if off > most:
+                size = f"{eye.size[0]}x{eye.size[1]}"
+                why = f"{off:.0f} px from the middle of pictures of {size}, at most {most:.0f} are believed; "
+                why += "is it for another size, or are width and height exchanged?"
+                raise file.refused(f"{name} eye's {axis}", float(eye.K[k, 2]), why)
     if left.size != right.size:
-        raise refused(path, "picture size", (left.size, right.size), "both eyes' pictures are of one size")
-    turn = -rotation_vector(path, "rotation of the right eye", R_RC)
-    place = -R_RC.T @ t_RC
-    document = {
-        "format": FORMAT,
-        "source": source + _skew_left_out(eyes),
-        "width_px": left.size[0],
-        "height_px": left.size[1],
-        "left": _eye(left),
-        "right": _eye(right),
-        "right_position_m": tuple(place.tolist()),
-        "right_rotation_vector_deg": tuple(np.degrees(turn).tolist()),
-    }
-    return made(path, document)
-
-
-def _skew_left_out(eyes: tuple[Pinhole, Pinhole]) -> str:
-    """What is said of skewed axes, which our lenses do not have; empty where there are none."""
+        raise file.refused("picture size", (left.size, right.size), "both eyes' pictures are of one size")
+    if np.abs(R_RC @ R_RC.T - np.eye(3)).max() > _SQUARE or np.linalg.det(R_RC) < 0.0:
+        why = "a rotation is wanted (orthonormal, right-handed)"
+        raise file.refused("rotation of the right eye", R_RC.tolist(), why)
     skews = [float(eye.K[0, 1]) for eye in eyes]
-    return f"; skew {skews[0]:g} and {skews[1]:g} px left out" if any(skews) else ""
+    note = f"; skew {skews[0]:g} and {skews[1]:g} px left out" if any(skews) else ""
+    return made(path, document(source + note, (left, right), R_RC, t_RC))
 
 
-def _eye(eye: Pinhole) -> dict[str, Any]:
-    K = eye.K
-    places = {"fx_px": K[0, 0], "fy_px": K[1, 1], "cx_px": K[0, 2], "cy_px": K[1, 2]}
-    return {name: float(value) for name, value in places.items()} | {
-        "lens": eye.lens,
-        "distortion": eye.distortion,
+def document(source: str, eyes: tuple[Pinhole, Pinhole], R_RC: Matrix, t_RC: Matrix) -> dict[str, Any]:
+    """The content of our own file of two eyes of one size, the right one placed as ``assembled`` has it."""
+    sides = [
+        {
+            "lens": eye.lens,
+            "fx_px": float(eye.K[0, 0]),
+            "fy_px": float(eye.K[1, 1]),
+            "cx_px": float(eye.K[0, 2]),
+            "cy_px": float(eye.K[1, 2]),
+            "distortion": tuple(eye.distortion),
+        }
+        for eye in eyes
+    ]
+    return {
+        "format": FORMAT,
+        "source": source,
+        "width_px": eyes[0].size[0],
+        "height_px": eyes[0].size[1],
+        "left": sides[0],
+        "right": sides[1],
+        "right_position_m": tuple((-R_RC.T @ t_RC).tolist()),
+        "right_rotation_vector_deg": tuple((-np.degrees(cv2.Rodrigues(R_RC)[0])).ravel().tolist()),
     }
 
 
-def made(path: Path, document: Mapping[str, Any]) -> StereoCalibration:
-    """``document`` as a calibration. Raises ConfigurationError that names the file."""
+def made(path: Path, content: Mapping[str, Any]) -> StereoCalibration:
+    """``content`` as a calibration. Raises ConfigurationError that names the file."""
     try:
-        return StereoCalibration.model_validate(document)
+        return StereoCalibration.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        why = str(first["msg"]).removeprefix("Value error, ")
-        key = ".".join(map(str, first["loc"]))
-        told = f"{key} = {first['input']!r}: {why}" if len(str(first["input"])) < _SHOWN else f"{key}: {why}"
-        raise ConfigurationError(
-            "configuration.bad_calibration", f"{path}: {told.removeprefix(': ')}"
-        ) from error
+        raise bad_calibration(path, fault_words(error.errors()[0])) from error

@@ -1,96 +1,39 @@
-"""Calibrations that others keep in YAML: ROS ``camera_info``, Kalibr's camchain, OpenCV's FileStorage."""
+"""Calibrations in YAML: ROS ``camera_info``, Kalibr's camchain, OpenCV's FileStorage, ORB-SLAM3."""
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
-from protocol.errors import ConfigurationError
-from vision_pc.config.camera_files.parts import (
-    Matrix,
-    Pinhole,
-    assembled,
-    brown_or_rational,
-    equidistant,
-    matrix,
-    missing,
-    number,
-    numbers,
-    refused,
-)
+from vision_pc.config.camera_files.parts import Entries, Matrix, Pinhole, assembled, inverse
 from vision_pc.config.stereo_camera import StereoCalibration
 
+_SIZE = ("image_width", "image_height")
+_ALIKE = 1e-3  # of the focal length: how far a rectified pair's fx, fy and cy may differ
 _STANDS_M = 1e-4  # how far from the first eye the left one may be by its file
 _STEREO = {  # ours → names that OpenCV's samples and others write
-    "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "K_left", "left_K"),
-    "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "D_left", "left_D"),
-    "K2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "K_right", "right_K"),
-    "D2": ("D2", "distCoeffs2", "dist_coeffs_2", "D_right", "right_D"),
+    "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "cameraMatrixL", "K_left", "left_K"),
+    "D1": ("D1", "distCoeffs1", "dist_coeffs_1", "distCoeffsL", "D_left", "left_D"),
+    "K2": ("M2", "K2", "cameraMatrix2", "camera_matrix_2", "cameraMatrixR", "K_right", "right_K"),
+    "D2": ("D2", "distCoeffs2", "dist_coeffs_2", "distCoeffsR", "D_right", "right_D"),
     "R": ("R",),
     "T": ("T",),
 }
-
-
-def is_kalibr(document: Mapping[str, Any]) -> bool:
-    """Whether this is a camchain of Kalibr."""
-    return "cam0" in document
+_ORB_LENSES = {"PinHole": ("k1", "k2", "p1", "p2", "k3"), "KannalaBrandt8": ("k1", "k2", "k3", "k4")}
 
 
 def is_camera_info(document: Mapping[str, Any]) -> bool:
     """Whether this is one eye's ``camera_info``."""
-    return {"camera_matrix", "distortion_coefficients"} <= set(document) or {"K", "D", "P"} <= _upper(
-        document
-    )
+    keys = set(document)
+    return {"camera_matrix", "distortion_coefficients"} <= keys or {"K", "D", "P"} <= {
+        str(k).upper() for k in keys
+    }
 
 
 def is_opencv_stereo(document: Mapping[str, Any]) -> bool:
     """Whether this holds a part of what cv2.stereoCalibrate returns."""
-    names = set(_STEREO["K1"]) | {"T"}
-    return bool(names & set(document))
-
-
-def _upper(document: Mapping[str, Any]) -> set[str]:
-    return {str(key).upper() for key in document}
-
-
-def read_kalibr(path: Path, document: Mapping[str, Any]) -> StereoCalibration:
-    """From a camchain: cam0 is the left eye; cam1's ``T_cn_cnm1`` takes points of cam0 to cam1 (m).
-
-    Raises ConfigurationError.
-    """
-    eyes = []
-    for name in ("cam0", "cam1"):
-        cam = document.get(name)
-        if not isinstance(cam, Mapping):
-            raise missing(path, name, "a camchain of two cameras")
-        eyes.append(_kalibr_eye(path, name, cam))
-    X_RC, key = _from_left_to_right(path, document["cam0"], document["cam1"])
-    source = f"{path.name}, camchain, by {key}"
-    return assembled(path, source, (eyes[0], eyes[1]), X_RC[:3, :3], X_RC[:3, 3])
-
-
-def _from_left_to_right(path: Path, cam0: Mapping[str, Any], cam1: Mapping[str, Any]) -> tuple[Matrix, str]:
-    """What takes points of cam0 to cam1 (4, 4), m, and the key that told: between the eyes, or each eye's
-    pose to the inertial unit. Raises ConfigurationError.
-    """
-    if "T_cn_cnm1" in cam1:
-        return matrix(path, "cam1.T_cn_cnm1", cam1["T_cn_cnm1"], (4, 4)), "T_cn_cnm1"
-    for key in ("T_cam_imu", "T_imu_cam"):
-        if key in cam0 and key in cam1:
-            left, right = (matrix(path, f"{name}.{key}", cam[key], (4, 4))
-                           for name, cam in (("cam0", cam0), ("cam1", cam1)))  # fmt: skip
-            if key == "T_cam_imu":
-                return np.asarray(right @ _inverse(left)), key
-            return np.asarray(_inverse(right) @ left), key
-    expected = "4x4, from cam0 to cam1; or T_cam_imu or T_imu_cam of both cameras"
-    raise missing(path, "cam1.T_cn_cnm1", expected)
-
-
-def _inverse(X: Matrix) -> Matrix:
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = X[:3, :3].T, -X[:3, :3].T @ X[:3, 3]
-    return made
+    return bool({*_STEREO["K1"], "T"} & set(document))
 
 
 def is_sensor(document: Mapping[str, Any]) -> bool:
@@ -98,166 +41,186 @@ def is_sensor(document: Mapping[str, Any]) -> bool:
     return "T_BS" in document and "intrinsics" in document
 
 
-def read_sensors(
-    left: tuple[Path, Mapping[str, Any]], right: tuple[Path, Mapping[str, Any]]
-) -> StereoCalibration:
+def read_kalibr(file: Entries) -> StereoCalibration:
+    """From a camchain: cam0 is the left eye; cam1's ``T_cn_cnm1`` takes points of cam0 to cam1 (m), or each
+    eye's pose to the inertial unit tells. Raises ConfigurationError.
+    """
+    cameras = []
+    for name in ("cam0", "cam1"):
+        if not isinstance(file.values.get(name), Mapping):
+            raise file.missing(name, "a camchain of two cameras")
+        cameras.append(Entries(file.path, file.values[name], f"{name}."))
+    left, right = cameras
+    eyes = [kalibr_eye(one) for one in cameras]
+    for key in ("T_cn_cnm1", "T_cam_imu", "T_imu_cam"):
+        if key not in right.values or (key != "T_cn_cnm1" and key not in left.values):
+            continue
+        X = right.matrix(key, right.values[key], (4, 4))
+        if key != "T_cn_cnm1":
+            X_left = left.matrix(key, left.values[key], (4, 4))
+            X = X @ inverse(X_left) if key == "T_cam_imu" else inverse(X) @ X_left
+        return assembled(file.path, f"{file.path.name}, camchain, by {key}", eyes, X[:3, :3], X[:3, 3])
+    raise right.missing("T_cn_cnm1", "4x4, from cam0 to cam1; or T_cam_imu or T_imu_cam of both cameras")
+
+
+def read_sensors(left: Entries, right: Entries) -> StereoCalibration:
     """From both cameras' files in ASL's form: ``T_BS`` takes points of a camera to the body (m). Raises
     ConfigurationError.
     """
-    eyes = [sensor_eye(*one) for one in (left, right)]
-    X_BL, X_BR = (
-        matrix(
-            path, "T_BS", value.get("data") if isinstance(value := sensor["T_BS"], Mapping) else value, (4, 4)
-        )
-        for path, sensor in (left, right)
-    )
-    X_RL = _inverse(X_BR) @ X_BL
-    source = f"{left[0].name} and {right[0].name}, by T_BS"
-    return assembled(left[0], source, (eyes[0], eyes[1]), X_RL[:3, :3], X_RL[:3, 3])
+    X_BL, X_BR = (one.matrix("T_BS", one.values["T_BS"], (4, 4)) for one in (left, right))
+    X_RL = inverse(X_BR) @ X_BL
+    source = f"{left.path.name} and {right.path.name}, by T_BS"
+    eyes = [kalibr_eye(one) for one in (left, right)]
+    return assembled(left.path, source, eyes, X_RL[:3, :3], X_RL[:3, 3])
 
 
-def sensor_eye(path: Path, sensor: Mapping[str, Any]) -> Pinhole:
-    """One camera in ASL's form, which differs from Kalibr's in two names."""
-    kinds = {"radial-tangential": "radtan"}
-    kind = sensor.get("distortion_model", "none")
-    model = {
-        "distortion_coeffs": sensor.get("distortion_coefficients", []),
-        "distortion_model": kinds.get(kind, kind),
-    }
-    return _kalibr_eye(path, "camera", {**sensor, **model})
+def kalibr_eye(cam: Entries) -> Pinhole:
+    """One camera of Kalibr's, or in ASL's form, which differs in two names. Raises ConfigurationError."""
+    if cam.values.get("camera_model") != "pinhole":
+        raise cam.refused("camera_model", cam.values.get("camera_model"), "pinhole is wanted")
+    fx, fy, cx, cy = cam.numbers("intrinsics", cam.values.get("intrinsics"), 4)
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    kind = cam.values.get("distortion_model", "none")
+    counts = {"radtan": 4, "radial-tangential": 4, "equidistant": 4, "none": 0}
+    if kind not in counts:
+        raise cam.refused("distortion_model", kind, "radtan, equidistant or none is wanted")
+    key = "distortion_coefficients" if "distortion_coefficients" in cam.values else "distortion_coeffs"
+    values = cam.numbers(key, cam.values.get(key, []))
+    if len(values) != counts[kind]:
+        raise cam.refused(key, list(values), f"{counts[kind]} coefficients of {kind} are wanted")
+    size = cam.numbers("resolution", cam.values.get("resolution"), 2)
+    return Pinhole(K, *cam.lens(key, kind, values), cam.size(("resolution",) * 2, size))
 
 
-def _kalibr_eye(path: Path, name: str, cam: Mapping[str, Any]) -> Pinhole:
-    if cam.get("camera_model") != "pinhole":
-        raise refused(path, f"{name}.camera_model", cam.get("camera_model"), "pinhole is wanted")
-    found = numbers(path, f"{name}.intrinsics", cam.get("intrinsics"))
-    if len(found) != 4:
-        raise refused(path, f"{name}.intrinsics", list(found), "fu fv pu pv are wanted")
-    K: Matrix = np.array([[found[0], 0.0, found[2]], [0.0, found[1], found[3]], [0.0, 0.0, 1.0]])
-    kind = cam.get("distortion_model", "none")
-    key = f"{name}.distortion_coeffs"
-    bends = numbers(path, key, cam.get("distortion_coeffs", []))
-    if kind not in ("radtan", "equidistant", "none"):
-        raise refused(path, f"{name}.distortion_model", kind, "radtan, equidistant or none is wanted")
-    lens = equidistant(path, key, bends) if kind == "equidistant" else brown_or_rational(path, key, bends)
-    size = numbers(path, f"{name}.resolution", cam.get("resolution"))
-    if len(size) != 2:
-        raise refused(path, f"{name}.resolution", list(size), "width and height are wanted")
-    return Pinhole(K, *lens, (int(size[0]), int(size[1])))
+def _entry(info: Entries, name: str, short: str) -> Any:
+    return info.entry("as camera_calibration writes it", name, short, short.lower())
 
 
-def read_camera_infos(
-    left: tuple[Path, Mapping[str, Any]], right: tuple[Path, Mapping[str, Any]]
-) -> StereoCalibration:
+def read_camera_infos(left: Entries, right: Entries) -> StereoCalibration:
     """From the two files of a ROS stereo camera, as ``camera_calibration`` writes them or as messages.
 
     The rectified right eye is at (-P[3] / P[0], 0, 0) in the rectified left one, and ``R`` turns each eye
     into its rectified axes. Raises ConfigurationError.
     """
-    eyes = (camera_info_eye(*left), camera_info_eye(*right))
-    _require_first_of_pair(*left)
-    turns = [_entry(path, info, "rectification_matrix", "R") for path, info in (left, right)]
-    R_left = matrix(left[0], "rectification_matrix", turns[0], (3, 3))
-    R_right = matrix(right[0], "rectification_matrix", turns[1], (3, 3))
-    path, info = right
-    P = matrix(path, "projection_matrix", _entry(path, info, "projection_matrix", "P"), (3, 4))
-    if P[0, 0] <= 0.0 or P[0, 3] >= 0.0:
-        raise refused(
-            path,
-            "projection_matrix[3]",
-            float(P[0, 3]),
-            "-fx times the baseline is wanted, below zero; likely the left eye's file, or a single camera's",
+    eyes = [camera_info_eye(one) for one in (left, right)]
+    R_left, R_right = (one.matrix("rectification_matrix", _entry(one, "rectification_matrix", "R"), (3, 3))
+                       for one in (left, right))  # fmt: skip
+    first, P = (one.matrix("projection_matrix", _entry(one, "projection_matrix", "P"), (3, 4))
+                for one in (left, right))  # fmt: skip
+    if abs(first[0, 3]) > _STANDS_M * abs(first[0, 0]):
+        why = (
+            "0 is wanted of the left eye, from which the right one's is counted; is it the right eye's file,"
         )
-    R_RC = R_right.T @ R_left
+        why += " or does one program give both eyes the same P?"
+        raise left.refused("projection_matrix[3]", float(first[0, 3]), why)
+    if P[0, 0] <= 0.0 or P[0, 3] >= 0.0:
+        why = "-fx times the baseline is wanted, below zero; likely the left eye's file, or a single camera's"
+        raise right.refused("projection_matrix[3]", float(P[0, 3]), why)
+    for name, place in {"fx": (0, 0), "fy": (1, 1), "cy": (1, 2)}.items():
+        if abs(P[place] - first[place]) > _ALIKE * P[0, 0]:
+            why = f"{first[place]:g} of the left eye is wanted: of a rectified pair fx, fy and cy are alike"
+            raise right.refused(
+                f"projection_matrix's {name}", float(P[place]), f"{why}; R is no rectification here"
+            )
     t_RC = R_right.T @ np.array([P[0, 3] / P[0, 0], 0.0, 0.0])
-    source = f"{left[0].name} and {path.name}, ROS camera_info"
-    return assembled(path, source, eyes, R_RC, t_RC)
+    source = f"{left.path.name} and {right.path.name}, ROS camera_info"
+    return assembled(left.path, source, eyes, R_right.T @ R_left, t_RC)
 
 
-def _entry(path: Path, info: Mapping[str, Any], name: str, short: str) -> Any:
-    for key in (name, short, short.lower()):
-        if key in info:
-            value = info[key]
-            return value.get("data") if isinstance(value, Mapping) else value
-    raise missing(path, name, "as camera_calibration writes it")
-
-
-def camera_info_eye(path: Path, info: Mapping[str, Any], size: tuple[int, int] | None = None) -> Pinhole:
+def camera_info_eye(info: Entries, size: tuple[int, int] | None = None) -> Pinhole:
     """One eye of ROS, or of OpenCV under the same names; ``size`` stands in where it has none. Raises
     ConfigurationError.
     """
-    K = matrix(path, "camera_matrix", _entry(path, info, "camera_matrix", "K"), (3, 3))
-    values = numbers(path, "distortion_coefficients", _entry(path, info, "distortion_coefficients", "D"))
-    kind = info.get("distortion_model", info.get("camera_model", "plumb_bob"))
-    kind = "plumb_bob" if kind == "pinhole" else kind
-    if kind in ("equidistant", "fisheye"):
-        lens = equidistant(path, "distortion_coefficients", values)
-    elif kind in ("plumb_bob", "rational_polynomial"):
-        lens = brown_or_rational(path, "distortion_coefficients", values)
-    else:
-        wanted = "plumb_bob, rational_polynomial or equidistant is wanted"
-        raise refused(path, "distortion_model", kind, wanted)
-    if size is not None and "image_width" not in info and "width" not in info:
-        return Pinhole(K, *lens, size)
-    width, height = (int(number(path, key, _entry(path, info, key, key.removeprefix("image_"))))
-                     for key in ("image_width", "image_height"))  # fmt: skip
-    return Pinhole(K, *lens, (width, height))
-
-
-def _require_first_of_pair(path: Path, info: Mapping[str, Any]) -> None:
-    """Raises ConfigurationError where the left eye's file says that it stands beside another."""
-    P = matrix(path, "projection_matrix", _entry(path, info, "projection_matrix", "P"), (3, 4))
-    if abs(P[0, 3]) > _STANDS_M * abs(P[0, 0]):
-        raise refused(
-            path,
-            "projection_matrix[3]",
-            float(P[0, 3]),
-            "0 is wanted of the left eye, from which the right one's is counted; is it the right eye's file, "
-            "or does one program give both eyes the same P?",
+    K = info.matrix("camera_matrix", _entry(info, "camera_matrix", "K"), (3, 3))
+    values = info.numbers("distortion_coefficients", _entry(info, "distortion_coefficients", "D"))
+    kind = info.values.get("distortion_model", info.values.get("camera_model", "plumb_bob"))
+    if kind not in ("plumb_bob", "rational_polynomial", "equidistant", "fisheye", "pinhole"):
+        raise info.refused(
+            "distortion_model", kind, "plumb_bob, rational_polynomial or equidistant is wanted"
         )
+    lens = info.lens("distortion_coefficients", kind, values)
+    if size is not None and "image_width" not in info.values and "width" not in info.values:
+        return Pinhole(K, *lens, size)
+    full = info.size(_SIZE, [_entry(info, key, key.removeprefix("image_")) for key in _SIZE])
+    K, taken = _of_window(info, K, full)
+    return Pinhole(K, *lens, taken)
 
 
-def read_opencv_stereo(
-    path: Path, document: Mapping[str, Any], size: tuple[int, int] | None, length_m: float
-) -> StereoCalibration:
+def _of_window(info: Entries, K: Matrix, full: tuple[int, int]) -> tuple[Matrix, tuple[int, int]]:
+    """``K`` and the size of the pictures, of a file whose K is of the ``full`` sensor: a window (roi) of it
+    is taken, and binned. Raises ConfigurationError.
+    """
+    roi = info.values.get("roi", {})
+    if not isinstance(roi, Mapping):
+        raise info.refused("roi", roi, "x_offset, y_offset, width and height are wanted")
+    K, size = K.copy(), list(full)
+    for k, (axis, length) in enumerate((("x", "width"), ("y", "height"))):
+        offset = info.number(f"roi.{axis}_offset", roi.get(f"{axis}_offset", 0))
+        window = info.number(f"roi.{length}", roi.get(length, 0))
+        bins = info.number(f"binning_{axis}", info.values.get(f"binning_{axis}", 0))
+        if min(offset, window) < 0.0 or offset + (window or full[k]) > full[k]:
+            why = f"a window of {full[k]} px is wanted"
+            raise info.refused(f"roi.{axis}_offset, {length}", (offset, window), why)
+        if bins < 0.0 or not bins.is_integer():
+            raise info.refused(f"binning_{axis}", bins, "a whole number is wanted")
+        by = max(bins, 1.0)
+        K[k] = (K[k] - offset * K[2]) / by
+        size[k] = int((window or full[k]) // by)
+    return K, (size[0], size[1])
+
+
+def read_opencv_stereo(file: Entries, size: tuple[int, int] | None, length_m: float) -> StereoCalibration:
     """From what cv2.stereoCalibrate returns, under the names of OpenCV's samples; a point p of the left eye
     is at R p + T in the right one, T in units of ``length_m``.
 
     Such files hold no picture size: ``size``, or image_width and image_height beside. Raises
     ConfigurationError.
     """
-    found = {ours: _entry_named(path, document, names) for ours, names in _STEREO.items()}
-    if "image_width" in document and "image_height" in document:
-        size = (int(number(path, "image_width", document["image_width"])),
-                int(number(path, "image_height", document["image_height"])))  # fmt: skip
+    found = {}
+    for ours, names in _STEREO.items():
+        expected = f"as cv2.stereoCalibrate returns it; also read: {', '.join(names[1:]) or 'none'}"
+        found[ours] = file.entry(expected, *names)
+    if set(_SIZE) <= set(file.values):
+        size = file.size(_SIZE, [file.values[key] for key in _SIZE])
     if size is None:
-        raise missing(
-            path, "image_width, image_height", "the pictures' size is needed: give --size WIDTHxHEIGHT"
-        )
-    fisheye = str(document.get("model", "")).lower() == "fisheye"
+        why = "the pictures' size is needed: give --size WIDTHxHEIGHT"
+        raise file.missing("image_width, image_height", why)
+    model = str(file.values.get("model", "")).lower()
+    if model not in ("", "pinhole", "fisheye"):
+        raise file.refused("model", file.values["model"], "pinhole or fisheye is wanted")
     eyes = []
     for k in "12":
-        K = matrix(path, f"K{k}", found[f"K{k}"], (3, 3))
-        values = numbers(path, f"D{k}", found[f"D{k}"])
-        lens = equidistant(path, f"D{k}", values) if fisheye else brown_or_rational(path, f"D{k}", values)
-        eyes.append(Pinhole(K, *lens, size))
-    R = matrix(path, "R", found["R"], (3, 3))
-    T = length_m * matrix(path, "T", found["T"], (3, 1)).ravel()
-    return assembled(path, f"{path.name}, OpenCV", (eyes[0], eyes[1]), R, T)
+        K, D = file.matrix(f"K{k}", found[f"K{k}"], (3, 3)), found[f"D{k}"]
+        values = file.numbers(f"D{k}", D)
+        if not model and isinstance(D, Mapping) and len(values) == 4 and str(D.get("rows")) == "4":
+            why = "4 rows, as of cv2.fisheye, may be k1 k2 p1 p2 too: add model: fisheye or pinhole"
+            raise file.refused(f"D{k}", list(values), why)
+        eyes.append(Pinhole(K, *file.lens(f"D{k}", model or "pinhole", values), size))
+    turn = file.numbers("R", found["R"])
+    R = cv2.Rodrigues(np.array(turn))[0] if len(turn) == 3 else file.matrix("R", turn, (3, 3))
+    T = length_m * file.matrix("T", found["T"], (3, 1)).ravel()
+    return assembled(file.path, f"{file.path.name}, OpenCV", eyes, np.asarray(R, dtype=np.float64), T)
 
 
-def _entry_named(path: Path, document: Mapping[str, Any], names: tuple[str, ...]) -> Any:
-    for name in names:
-        if name in document:
-            return document[name]
-    raise missing(
-        path, names[0], f"as cv2.stereoCalibrate returns it; also read: {', '.join(names[1:]) or 'none'}"
-    )
+def read_orb_slam(file: Entries) -> StereoCalibration:
+    """From the settings of ORB-SLAM3: ``Stereo.T_c1_c2`` takes points of the right eye to the left one (m).
+    Raises ConfigurationError.
+    """
+    kind = file.values.get("Camera.type")
+    if kind not in _ORB_LENSES:
+        raise file.refused("Camera.type", kind, f"{' or '.join(_ORB_LENSES)} is wanted")
+    sizes = ("Camera.width", "Camera.height")
+    size = file.size(sizes, [file.number(key) for key in sizes])
+    has_k3 = kind != "PinHole" or bool({"Camera1.k3", "Camera2.k3"} & set(file.values))
+    eyes = [
+        _orb_eye(file, name, _ORB_LENSES[kind][: None if has_k3 else 4], size)
+        for name in ("Camera1", "Camera2")
+    ]
+    X_RC = inverse(file.matrix("Stereo.T_c1_c2", file.values["Stereo.T_c1_c2"], (4, 4)))
+    return assembled(file.path, f"{file.path.name}, ORB-SLAM3", eyes, X_RC[:3, :3], X_RC[:3, 3])
 
 
-def one_eye_alone(path: Path) -> ConfigurationError:
-    """The error of a file that holds one eye where both are wanted."""
-    return ConfigurationError(
-        "configuration.bad_calibration",
-        f"{path}: is the file of one eye, both are wanted: longreach camera convert LEFT RIGHT --out FILE",
-    )
+def _orb_eye(file: Entries, name: str, coefficients: Sequence[str], size: tuple[int, int]) -> Pinhole:
+    K = file.pinhole([f"{name}.{key}" for key in ("fx", "fy", "cx", "cy")])
+    values = [file.number(f"{name}.{key}") for key in coefficients]
+    return Pinhole(K, *file.lens(f"{name}.k1 …", file.values["Camera.type"], values), size)

@@ -1,1 +1,1 @@
-"""Calibration programs: orientation adjustment, line equation, trajectory matching, local map."""
+"""Calibration programs: orientation adjustment, line equation, trajectory matching, local error model."""

@@ -8,8 +8,6 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.core.se3 import Array, angle_between, hat, local, retract
 
-AT_REST = 7  # the last samples of a watch, after the motion has settled
-
 
 class ResidualTable(NamedTuple):
     """Mäkinen et al. 2023, Table 3: absolute residuals per axis of B (3,), metres, after matching."""
@@ -25,7 +23,7 @@ class LocalCalibration(NamedTuple):
     paper, R_BC is taken for constant). ``covariance`` (3×3) rad² is of a left perturbation of R_BC, in base
     axes; residuals alone do not show it. ``condition``: ratio of the greatest to the least rotational
     information. ``method`` names the form; ``scale`` is kinematic over camera extent; ``inlier_share`` of
-    ``samples`` fit.
+    ``samples`` fit. ``object_stands``: the object was seen to stand still along the path.
     """
 
     R_BC: Array
@@ -38,6 +36,7 @@ class LocalCalibration(NamedTuple):
     inlier_share: float
     extent_m: float
     scale: float
+    object_stands: bool = False
 
     def rotation_at(self, X_BT: Array) -> Array:
         """R_BC (3×3) with the arm at ``X_BT``."""

@@ -15,9 +15,10 @@ from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.boom_levers import boom_levers, slew_angles, slew_lever
-from vision_pc.core.calibration.local_calibration import AT_REST, settled_pose
+from vision_pc.core.calibration.local_calibration import settled_pose
 from vision_pc.core.calibration.object_motion import refuse_moving_object
 from vision_pc.core.calibration.take_up import backlash_sides, move_with_take_up
+from vision_pc.core.perception.watch import AT_REST
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
@@ -47,8 +48,7 @@ class LocalTrack(NamedTuple):
     ``joint_residuals`` (P, 3) rad: servo residual of slew, lift and tilt at the end of each path so far,
     positive beyond the reference. ``residuals`` (D, 3) m in B: how far from their goal motions ended, by
     odometry. ``residual_motion`` m: how far the tool went to and fro by its encoders where it should have
-    rested. ``contradiction`` m: how far the last look lay from where odometry had the target, where both
-    cannot be true; 0: they agreed.
+    rested. ``object_stands``: the object was seen to stand still along the path.
     """
 
     X_KC: Array
@@ -57,7 +57,7 @@ class LocalTrack(NamedTuple):
     joint_residuals: Array
     residuals: Array
     residual_motion: float = 0.0
-    contradiction: float = 0.0
+    object_stands: bool = False
 
     @property
     def X_BT_now(self) -> Array:
@@ -124,11 +124,12 @@ async def watched_path(
     """
     async with eyes.watch(markers=markers, odometry=True) as watch:
         end = await move_with_take_up(arm, waypoints, dimensions, settings)
-    if markers:
-        refuse_moving_object(watch.samples, 4.0 * settings.leg_m, settings)
+    stands = markers and refuse_moving_object(watch.samples, 4.0 * settings.leg_m, settings)
     unrest = boom_levers(end.view.X_BT, dimensions) @ end.view.unrest[:3]
     return track_of(watch.samples)._replace(
-        joint_residuals=end.residual[None], residual_motion=float(np.linalg.norm(unrest))
+        joint_residuals=end.residual[None],
+        residual_motion=float(np.linalg.norm(unrest)),
+        object_stands=stands,
     )
 
 
@@ -140,7 +141,8 @@ def track_of(samples: tuple[WatchSample, ...]) -> LocalTrack:
     held = [s for s in samples if s.X_C0C is not None]
     if len(held) < 0.8 * len(samples) or len(held) < AT_REST or samples[-1].X_C0C is None:
         raise MeasurementFailed(
-            "measurement.odometry_lost", f"local map: odometry held in {len(held)} of {len(samples)} pictures"
+            "measurement.odometry_lost",
+            f"local error model: odometry held in {len(held)} of {len(samples)} pictures",
         )
     X_C0C = np.array([s.X_C0C for s in held])
     X_BT = np.array([s.X_BT for s in held])
@@ -161,7 +163,6 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([track.joint_residuals, further.joint_residuals]),
         np.concatenate([track.residuals, further.residuals]),
         further.residual_motion,
-        track.contradiction,
     )
 
 
@@ -170,13 +171,13 @@ def refuse_poor_track(track: LocalTrack) -> None:
     if len(track.X_BT) < _FEWEST_SAMPLES:
         raise MeasurementFailed(
             "measurement.too_few_samples",
-            f"local map: {len(track.X_BT)} samples, at least {_FEWEST_SAMPLES} are wanted",
+            f"local error model: {len(track.X_BT)} samples, at least {_FEWEST_SAMPLES} are wanted",
         )
     spread = np.linalg.svd(track.X_BT[:, :3, 3] - track.X_BT[:, :3, 3].mean(axis=0), compute_uv=False)
     if spread[2] < 0.1 * spread[0]:
         raise MeasurementFailed(
             "measurement.ill_conditioned",
-            f"local map: the path is flat, spread ratio {spread[2] / spread[0]:.3f}, at least 0.1 is wanted",
+            f"local error model: the path is flat, spread ratio {spread[2] / spread[0]:.3f}, wanted is 0.1",
         )
 
 
@@ -207,7 +208,7 @@ def fit_error_model(
     if residual > _RESIDUAL_M:
         raise MeasurementFailed(
             "measurement.match_poor",
-            f"local map: misfit {residual:.4f} m, limit {_RESIDUAL_M:g} m",
+            f"local error model: misfit {residual:.4f} m, limit {_RESIDUAL_M:g} m",
         )
     return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, dimensions)
 

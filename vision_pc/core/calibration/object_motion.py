@@ -51,9 +51,11 @@ def object_motion(samples: Sequence[WatchSample], way_std_m: float) -> ObjectMot
 
 def refuse_moving_object(
     samples: Sequence[WatchSample], path_m: float, odometry: LocalErrorModelSettings
-) -> None:
-    """Raises MeasurementFailed (``target.moves``) with the speed where the object moves while the camera
-    goes along a path of ``path_m`` and back to where it was.
+) -> bool:
+    """Whether the object was seen to stand still; False where it was seen too seldom.
+
+    Raises MeasurementFailed (``target.moves``) with the speed where the object moves while the camera goes
+    along a path of ``path_m`` and back to where it was.
     """
     motion = object_motion(samples, 2.0 * odometry.odometry_std_m + odometry.odometry_scale_std * path_m)
     if motion is not None and motion.is_seen:
@@ -63,3 +65,4 @@ def refuse_moving_object(
             f"the object moves by {far_mm / motion.time_s:.2f} mm/s: {far_mm:.1f} mm in "
             f"{motion.time_s:.0f} s against what is around it, limit {1e3 * _LEAST_M:g} mm",
         )
+    return motion is not None

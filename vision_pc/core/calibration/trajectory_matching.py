@@ -25,13 +25,13 @@ from vision_pc.config.programs import (
     TrajectorySettings,
 )
 from vision_pc.core.calibration.local_calibration import (
-    AT_REST,
     LocalCalibration,
     residual_table,
     rotation_covariance,
     settled_pose,
 )
 from vision_pc.core.calibration.object_motion import refuse_moving_object
+from vision_pc.core.perception.watch import AT_REST
 from vision_pc.core.point_set_matching.coarse import asymmetry, coarse_alignment, path_frame
 from vision_pc.core.point_set_matching.hybrid_mixture import (
     MixtureMatch,
@@ -77,11 +77,11 @@ async def trajectory_matching(
         await arm.follow(path[1:], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
     samples = watch.samples[first:]
     report(0.85, f"matching {len(samples)} samples")
-    if returns:  # elsewhere the camera sees the object from another side, with other errors
-        refuse_moving_object(watch.samples, 2.0 * length, odometry)
+    # Elsewhere the camera sees the object from another side, with other errors.
+    stands = returns and refuse_moving_object(watch.samples, 2.0 * length, odometry)
     calibration = calibrate(associated_trajectories(samples, settings), settings)
     report(1.0, f"rotation known to {math.degrees(calibration.rotation_std()):.2f} deg")
-    return calibration
+    return calibration._replace(object_stands=stands)
 
 
 def asymmetric_path(X_BT: Array, settings: TrajectorySettings) -> list[Array]:

@@ -1,4 +1,4 @@
 """Hand-eye calibration: A X = X B and A X = Z B, from the classical solvers to the certified robust one.
 
-Enter through ``methods.solve`` (poses) or ``bundle.adjust`` (corners in the pictures).
+Enter through ``methods.solve``.
 """

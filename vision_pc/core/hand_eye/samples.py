@@ -22,25 +22,16 @@ from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array, nearest_rotation
 
-
-class SampleLimits(NamedTuple):
-    """What a sample must keep to be believed.
-
-    ``longest_m`` questions the unit of a translation, ``skew`` bounds the largest entry of RᵀR − I (four
-    printed decimals pass). Two camera poses closer than ``same`` (m, and entries of R) are one and the same
-    measurement; if the hand moved meanwhile by less than ``still_m`` and ``still`` (entries of R) it is a
-    duplicate, else a camera that did not follow.
-    """
-
-    longest_m: float = 20.0
-    skew: float = 2e-3
-    same: float = 1e-7
-    still_m: float = 1e-3
-    still: float = 2e-3
+_LONGEST_M = 20.0  # questions the unit of a translation
+_SKEW = 2e-3  # [E] of the largest entry of RᵀR − I: four printed decimals pass
+_SAME = 1e-7  # m, and entries of R: two camera poses closer than this are one and the same measurement
+_STILL_M, _STILL = 1e-3, 2e-3  # if the hand moved meanwhile by these the camera did not follow
+# All samples of a hand at rest within these that are seen the same within those are one moment.
+_REST_M, _REST, _SEEN_M, _SEEN = 5e-5, 1e-4, 1e-3, 3e-3
 
 
 class CornerViews(NamedTuple):
-    """The target's points as each picture shows them, for the image-space adjustment.
+    """The target's points as each picture shows them: what the lens is wrong by moves them.
 
     ``points_P`` (m, 3) metres in the pattern's axes; ``pixels`` (n, m, 2), NaN where a point was not seen;
     ``K`` (3, 3) px and ``distortion`` (k,) of the camera (OpenCV's order).
@@ -52,23 +43,13 @@ class CornerViews(NamedTuple):
     distortion: Array
 
 
-class KnownLens(NamedTuple):
-    """``K`` (3, 3) px, ``distortion`` (5,) k1 k2 p1 p2 k3 that the pictures were measured with, and how well
-
-    they are known: ``covariance`` (4, 4) of fx, fy, cx, cy, px², or (9, 9) with the distortion behind.
-    """
-
-    K: Array
-    distortion: Array
-    covariance: Array
-
-
 @dataclass(frozen=True, eq=False)
 class PosePairs:
     """Checked samples in canonical order. Build them with ``pose_pairs``.
 
     ``H`` and ``P`` are (n, 4, 4) of the form H X P = Z; ``names`` are the caller's, in the same order;
-    ``order[k]`` is the caller's position of sample k. ``lens`` where the file tells it.
+    ``order[k]`` is the caller's position of sample k. ``copies``: samples that were left out, as hand and
+    camera stood as in another.
     """
 
     setup: Setup
@@ -77,7 +58,7 @@ class PosePairs:
     names: tuple[str, ...]
     order: tuple[int, ...]
     corners: CornerViews | None = None
-    lens: KnownLens | None = None
+    copies: int = 0
 
     def __len__(self) -> int:
         return len(self.names)
@@ -93,7 +74,7 @@ class PosePairs:
         corners = self.corners and self.corners._replace(pixels=self.corners.pixels[chosen])
         names = tuple(self.names[k] for k in chosen)
         order = tuple(range(len(chosen)))
-        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, order, corners, self.lens)
+        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, order, corners)
 
 
 def pose_pairs(
@@ -102,7 +83,6 @@ def pose_pairs(
     setup: Setup = Setup.EYE_IN_HAND,
     names: tuple[str, ...] | None = None,
     corners: CornerViews | None = None,
-    limits: SampleLimits | None = None,
 ) -> PosePairs:
     """The samples, checked, with exactly orthonormal rotations, in canonical order.
 
@@ -110,7 +90,6 @@ def pose_pairs(
     sample: ``refused.hand_eye.count``, ``.not_finite``, ``.not_a_pose``, ``.left_handed``,
     ``.not_orthonormal``, ``.units``, ``.duplicate``, ``.stale_camera``.
     """
-    limits = limits or SampleLimits()
     hand, target = np.asarray(X_BT, dtype=np.float64), np.asarray(X_CP, dtype=np.float64)
     if hand.ndim != 3 or target.ndim != 3 or hand.shape[1:] != (4, 4) or target.shape[1:] != (4, 4):
         raise RequestRefused(
@@ -127,9 +106,9 @@ def pose_pairs(
         )
     for what, stack in (("hand", hand), ("camera", target)):
         for name, X in zip(names, stack, strict=True):
-            _check_pose(X, f"sample {name}: {what} pose", limits)
+            _check_pose(X, f"sample {name}: {what} pose")
     hand, target = _exact(hand), _exact(target)
-    _check_repeats(hand, target, names, limits)
+    _check_repeats(hand, target, names)
     flat = np.concatenate([hand[:, :3].reshape(len(hand), 12), target[:, :3].reshape(len(hand), 12)], axis=1)
     order = np.lexsort(flat.T[::-1])
     H = hand if setup is Setup.EYE_IN_HAND else stacks.inverse(hand)
@@ -143,11 +122,23 @@ def pose_pairs(
     )
 
 
+def distinct(X_BT: Array, X_CP: Array) -> NDArray[np.bool_]:
+    """Which samples (n, 4, 4) are moments of their own: the first of those at which hand and camera stand
+    still. Pictures of one moment share the errors of arm and target; counted apart they make σ too small.
+    """
+    first = np.ones(len(X_BT), dtype=bool)
+    for k in range(1, len(X_BT)):
+        hand = _same(X_BT[k], X_BT[:k][first[:k]], _REST_M, _REST)
+        camera = _same(X_CP[k], X_CP[:k][first[:k]], _SEEN_M, _SEEN)
+        first[k] = not bool(np.any(hand & camera))
+    return first
+
+
 def _exact(X: Array) -> Array:
     return stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
 
 
-def _check_pose(X: Array, where: str, limits: SampleLimits) -> None:
+def _check_pose(X: Array, where: str) -> None:
     if not np.isfinite(X).all():
         raise RequestRefused("refused.hand_eye.not_finite", f"{where} holds a number that is not finite")
     if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
@@ -160,24 +151,24 @@ def _check_pose(X: Array, where: str, limits: SampleLimits) -> None:
         raise RequestRefused(
             "refused.hand_eye.left_handed", f"{where}: rotation is left-handed (det {np.linalg.det(R):.3f})"
         )
-    if defect > limits.skew:
+    if defect > _SKEW:
         raise RequestRefused(
             "refused.hand_eye.not_orthonormal",
-            f"{where}: rotation is off orthonormal by {defect:.2g}, limit {limits.skew:g}",
+            f"{where}: rotation is off orthonormal by {defect:.2g}, limit {_SKEW:g}",
         )
-    if np.abs(p).max() > limits.longest_m:
+    if np.abs(p).max() > _LONGEST_M:
         raise RequestRefused(
             "refused.hand_eye.units",
-            f"{where}: translation {np.abs(p).max():g} m, limit {limits.longest_m:g} m; in millimetres?",
+            f"{where}: translation {np.abs(p).max():g} m, limit {_LONGEST_M:g} m; in millimetres?",
         )
 
 
-def _check_repeats(hand: Array, target: Array, names: tuple[str, ...], limits: SampleLimits) -> None:
+def _check_repeats(hand: Array, target: Array, names: tuple[str, ...]) -> None:
     """Refuse samples given twice, and camera poses that stayed the very same while the hand moved."""
     for i in range(len(hand) - 1):
-        for j in i + 1 + np.flatnonzero(_same(target[i], target[i + 1 :], limits.same, limits.same)):
+        for j in i + 1 + np.flatnonzero(_same(target[i], target[i + 1 :], _SAME, _SAME)):
             pair = f"samples {names[i]} and {names[j]}"
-            if _same(hand[i], hand[j], limits.still_m, limits.still):
+            if _same(hand[i], hand[j], _STILL_M, _STILL):
                 raise RequestRefused("refused.hand_eye.duplicate", f"{pair} are the same sample twice")
             raise RequestRefused(
                 "refused.hand_eye.stale_camera",

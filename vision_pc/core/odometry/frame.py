@@ -2,15 +2,11 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from vision_pc.core.odometry.keyframes.keyframe import Indices
 from vision_pc.core.odometry.pose_spread import PoseSpread
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image, StereoPair
-
-_NOWHERE = np.zeros((0, 2))
 
 
 class Frame(NamedTuple):
@@ -26,9 +22,7 @@ class Frame(NamedTuple):
 
 class PoseEstimate(NamedTuple):
     """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
-    and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
-    points that went another way.
-    ``match_stds`` (2, n) px of where both eyes see the points, as far as patches tell; 0: not asked.
+    and the right eye's rays (n, 2) to those that it sees (n,). ``by_arm``: the arm's state chose it.
     """
 
     X_C0C: Array
@@ -38,5 +32,4 @@ class PoseEstimate(NamedTuple):
     right_rays: Array
     seen_right: Flags
     residual_px: float
-    match_stds: Array
-    moving: Array = _NOWHERE
+    by_arm: bool = False

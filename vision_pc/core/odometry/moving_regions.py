@@ -11,7 +11,6 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
 _RIM_PX = 12  # a tracking window that touches the tool is disturbed by it
-_AROUND_PX = 40  # of a point that moves: what it belongs to moves with it
 _NEAREST = 0.05  # m: what is nearer to the lens is cut off
 
 
@@ -50,12 +49,3 @@ def _in_front(polygon: Array) -> Array:
         if (a[2] - _NEAREST) * (b[2] - _NEAREST) < 0.0:
             kept.append(a + (b - a) * (_NEAREST - a[2]) / (b[2] - a[2]))
     return np.array(kept).reshape(-1, 3)
-
-
-def without(static: Flags, moving: Array) -> Flags:
-    """``static`` (height, width) without what lies between and around the pixels ``moving`` (n, 2)."""
-    moved = np.zeros(static.shape, np.uint8)
-    hull = cv2.convexHull(np.rint(moving).astype(np.int32))
-    cv2.fillConvexPoly(moved, hull, 1)
-    cv2.polylines(moved, [hull], isClosed=True, color=1, thickness=2 * _AROUND_PX)
-    return np.asarray(static & (moved == 0))

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from foundation.compiled import allocation_free
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
-from vision_pc.core.odometry.keyframes.patch_parts import MOST_PX, match_std
 from vision_pc.core.odometry.keyframes.templates import FLAT, Patches, is_inside
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
@@ -86,9 +85,9 @@ def found(
     X_C0C: Array,
     keyframe_eye: CameraModel,
     eye: CameraModel,
-) -> tuple[Array, Flags, Array]:
-    """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), which are believed,
-    and the standard deviations (n,), px of one coordinate, that the parts of their patches tell.
+) -> tuple[Array, Flags]:
+    """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), and which of them
+    are believed.
 
     ``image`` is what it sees, ``guess`` (n, 2) px within about two pixels. Believed: converged near the
     guess, with enough normalised cross-correlation.
@@ -96,24 +95,21 @@ def found(
     X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
     warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
     sought = keyframe.templates.patches()
-    found = _Matches(guess.copy(), np.full(len(guess), -1.0), np.full(len(guess), MOST_PX))
+    found = _Matches(guess.copy(), np.full(len(guess), -1.0))
     _match(sought, keyframe.rows, image, found, warps, _room(sought.side))
-    return found.ends, found.likeness >= _LEAST_LIKENESS, found.stds
+    return found.ends, found.likeness >= _LEAST_LIKENESS
 
 
 class _Matches(NamedTuple):
-    """Of patches (n,): ``ends`` (n, 2) px from the guesses to the matches, ``likeness`` (n,), -1: none, and
-    ``stds`` (n,) px of one coordinate.
-    """
+    """Of patches (n,): ``ends`` (n, 2) px from the guesses to the matches, ``likeness`` (n,), -1: none."""
 
     ends: Array
     likeness: Array
-    stds: Array
 
 
 class _Room(NamedTuple):
     """Where each pixel of a patch is sought: column and row of the pixel above and left of it, and the rest;
-    what the picture shows there, four grey levels in a word, and as ``seen`` between them.
+    what the picture shows there, four grey levels in a word.
     """
 
     column: Whole
@@ -121,13 +117,12 @@ class _Room(NamedTuple):
     words: Whole
     right: Array
     down: Array
-    seen: Array
 
 
 def _room(side: int) -> _Room:
     column, row, words = np.empty((3, side * side), dtype=np.int32)
-    right, down, seen = np.empty((3, side * side))
-    return _Room(column, row, words, right, down, seen)
+    right, down = np.empty((2, side * side))
+    return _Room(column, row, words, right, down)
 
 
 @allocation_free(nogil=True)
@@ -156,9 +151,6 @@ def _match(sought: Patches, rows: Indices, image: Image, found: _Matches, warps:
             if math.hypot(u, v) < _CONVERGED:
                 found.ends[n, 0], found.ends[n, 1] = x, y
                 found.likeness[n] = alike
-                if alike >= _LEAST_LIKENESS:
-                    _unpack(room.words, room.right, room.down, room.seen)
-                    found.stds[n] = match_std(room.seen, patterns, products, (a, b, c, d), sought.side)
                 break
 
 
@@ -217,15 +209,3 @@ def _project_rows(words: Whole, right: Array, down: Array, patterns: Array) -> t
     if norm < FLAT:
         return 0.0, 0.0, -2.0
     return along_x / norm, along_y / norm, alike / norm
-
-
-@allocation_free(fastmath={"contract", "reassoc"})
-def _unpack(words: Whole, right: Array, down: Array, seen: Array) -> None:
-    """Fill ``seen`` with the grey levels that ``_compare`` looked at last."""
-    byte = np.int32(255)
-    for k in range(words.shape[0]):
-        word = words[k]
-        upper, lower = float(word & byte), float((word >> np.int32(16)) & byte)
-        upper += right[k] * (float((word >> np.int32(8)) & byte) - upper)
-        lower += right[k] * (float((word >> np.int32(24)) & byte) - lower)
-        seen[k] = upper + down[k] * (lower - upper)

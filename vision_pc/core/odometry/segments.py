@@ -44,8 +44,7 @@ def straightened(camera: CameraCalibration, seen: PointPairs) -> CameraCalibrati
 
 
 _RESTART_AFTER = 3  # [D] pairs lost in a row, then a new map
-_PATIENCE = 20  # [D] the same where two motions differ by millimetres a picture: centimetres then
-_OF_LIGHT = {"too_dark", "no_texture"}  # losses that nothing which moved can have brought about
+_PATIENCE = 20  # [D] the same where an arm will tell which of two motions is the camera's
 _REJOIN_EVERY = 2  # [D] pairs between two searches of the maps before
 
 
@@ -60,7 +59,7 @@ class SegmentedOdometry:
     """``StereoOdometry`` that begins a new map when it was lost for some pairs in a row.
 
     ``joints[k]`` is the pose of map k's C0 in the first map's, None as long as nothing that both show was
-    seen: between them is a gap of unknown length.
+    seen: between them is a gap of unknown length. ``offset`` learns that of the disparities.
     """
 
     def __init__(self, camera: CameraCalibration, settings: OdometrySettings) -> None:
@@ -70,9 +69,7 @@ class SegmentedOdometry:
         self._begin_anew()
         self._current = 0
         self._straight = False
-        self._X_BT: Array | None = None
         self._lost = self._since_search = 0
-        self._losses: set[str | None] = set()  # since a pair was located
         self.joints: list[Array | None] = [se3.identity()]
 
     def _begin_anew(self) -> None:
@@ -96,12 +93,6 @@ class SegmentedOdometry:
         """How many keyframes all maps hold."""
         return sum(one.keyframes for one in self._maps)
 
-    def is_withdrawn(self, segment: int, capture_ns: int) -> bool:
-        """Whether a pose of map ``segment`` is not to be believed after all: two motions were seen in it that
-        nothing tells apart, or not yet then; or, after that happened, the sequence ended too soon.
-        """
-        return not self._maps[segment].trust.believes(capture_ns)
-
     @property
     def last_loss(self) -> str | None:
         """Why the last pair was lost, None if it was not."""
@@ -117,79 +108,47 @@ class SegmentedOdometry:
 
         ``X_BT``: where the arm's own state has the tool, if there is an arm that tells.
         """
-        self._X_BT = X_BT
-        pose = self._follow(self._current, pair)
+        pose = self._maps[self._current].process(pair, X_BT=X_BT)
         if pose is None:
             self._lost += 1
-            self._losses |= {self.last_loss}
-            patience = _PATIENCE if self._maps[self._current].is_undecided else _RESTART_AFTER
+            by_arm = X_BT is not None and self.last_loss == "two_motions"
+            patience = _PATIENCE if by_arm else _RESTART_AFTER
             if self._lost < patience or not self._maps[self._current].keyframes:
                 return None
-            return self._returned(pair) or self._begin_map(pair)
-        self._lost, self._losses = 0, set()
+            return self._in_older(pair, X_BT) or self._begin_map(pair, X_BT)
+        self._lost = 0
         if not self._straight and pose.pairs is not None:
-            return self._restart_straightened(pair, pose.pairs)
-        placed = PlacedPose(self._current, pose)
-        return self._rejoined(pair, pose) or placed
+            self._camera, self._straight = straightened(self._camera, pose.pairs), True
+            self._begin_anew()
+            pose = self._maps[0].process(pair, X_BT=X_BT)
+            return None if pose is None else PlacedPose(0, pose)
+        self._since_search += 1
+        if self.joints[self._current] is None and self._since_search % _REJOIN_EVERY == 0:
+            newer = self._current
+            found = self._in_older(pair, X_BT)
+            if found is not None:
+                there = self.joints[found.segment]
+                joint = found.pose.X_C0C @ se3.inverse(pose.X_C0C)
+                self.joints[newer] = None if there is None else there @ joint
+                return found
+        return PlacedPose(self._current, pose)
 
-    def _restart_straightened(self, pair: StereoPair, seen: PointPairs) -> PlacedPose | None:
-        """The first pose, found anew with the right eye's rows as the first map's points show them."""
-        self._camera, self._straight = straightened(self._camera, seen), True
-        self._begin_anew()
-        pose = self._follow(0, pair)
-        return None if pose is None else PlacedPose(0, pose)
-
-    def _follow(self, k: int, pair: StereoPair) -> OdometryPose | None:
-        """The pose in map ``k``."""
-        one = self._maps[k]
-        return None if one.trust.ambiguous else one.process(pair, X_BT=self._X_BT)
-
-    def _older(self) -> list[int]:
-        """The maps before the current one that may be believed, the newest first."""
-        return [k for k in range(self._current - 1, -1, -1) if not self._maps[k].trust.ambiguous]
-
-    def _returned(self, pair: StereoPair) -> PlacedPose | None:
-        """The pose in an older map that ``pair`` shows; nothing is then known of the map that was lost."""
-        for k in self._older():
-            pose = self._follow(k, pair)
+    def _in_older(self, pair: StereoPair, X_BT: Array | None) -> PlacedPose | None:
+        """The pose in an older map that ``pair`` shows again, which then is the current one."""
+        for k in range(self._current - 1, -1, -1):
+            pose = self._maps[k].process(pair, X_BT=X_BT)
             if pose is not None:
-                self._current, self._lost, self._losses = k, 0, set()
+                self._current, self._lost = k, 0
                 return PlacedPose(k, pose)
         return None
 
-    def _begin_map(self, pair: StereoPair) -> PlacedPose | None:
+    def _begin_map(self, pair: StereoPair, X_BT: Array | None) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
-        came_in = bool(self._losses - _OF_LIGHT)  # what moves may be all that is in view now
-        doubted = came_in or any(one.trust.ambiguous for one in self._maps)
-        fresh = StereoOdometry(self._camera, self._settings, offset=self.offset, doubted=doubted)
-        pose = fresh.process(pair, X_BT=self._X_BT)
+        fresh = StereoOdometry(self._camera, self._settings, offset=self.offset)
+        pose = fresh.process(pair, X_BT=X_BT)
         if pose is None:
             return None
         self._maps.append(fresh)
         self.joints.append(None)
-        self._current = len(self._maps) - 1
-        self._lost, self._losses, self._since_search = 0, set(), 0
+        self._current, self._lost, self._since_search = len(self._maps) - 1, 0, 0
         return PlacedPose(self._current, pose)
-
-    def _rejoined(self, pair: StereoPair, pose: OdometryPose) -> PlacedPose | None:
-        """The pose in the first map's part, where ``pair`` shows it again; the newer map is then left."""
-        if self.joints[self._current] is not None:
-            return None
-        self._since_search += 1
-        if self._since_search < _REJOIN_EVERY:
-            return None
-        self._since_search = 0
-        for k in self._older():
-            found = self._follow(k, pair)
-            if found is None:
-                continue
-            self._join(found.X_C0C @ se3.inverse(pose.X_C0C), k)
-            return PlacedPose(k, found)
-        return None
-
-    def _join(self, X_old_new: Array, k: int) -> None:
-        """Map ``k`` holds the current one's C0 at ``X_old_new``: all that hangs on it is placed too."""
-        there = self.joints[k]
-        if there is not None:
-            self.joints[self._current] = there @ X_old_new
-        self._current = k

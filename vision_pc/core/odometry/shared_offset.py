@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import HeldViews
+from vision_pc.core.se3 import Array
 
-_WINDOW = 4  # keyframes that are adjusted together
-_EVERY = 2  # keyframes
 _TIMES = 2.0  # of what views that err apart would leave: those of one point share what its patch gets wrong
-_FEW_WINDOWS = 2.0  # [E] with so few the variance is twice as large: of three that agree little is known
+_FEW_PAIRS = 2.0  # [E] with so few the variance is twice as large: of three that agree little is known
 _FLOOR_PX = 0.03  # matching's own bias
 _ENOUGH = 0.5  # of what was believed before
 _MOST_PX = 3.0  # more is no rectified pair
 _SPREAD = 1.4826  # from the median of deviations to a standard deviation
+_SETTLED = 12  # [M] pairs: a drive's first twelve find its offset to 0.1 px of what all find
 
 
 class FoundOffset(NamedTuple):
@@ -31,32 +31,38 @@ class FoundOffset(NamedTuple):
 
 
 class SharedOffset:
-    """Learns the right eye's offset from windows of keyframes, where it ``learns``."""
+    """Learns the right eye's offset from pairs, where it ``learns``."""
 
     def __init__(self, learns: bool) -> None:
         self._learns = learns
-        self._windows: list[FoundOffset] = []
+        self._pairs: list[FoundOffset] = []
 
-    def learn(self, keyframe_map: KeyframeMap) -> None:
-        """A keyframe was made: learn from the newest ones."""
-        keyframes = keyframe_map.keyframes
-        if not self._learns or len(keyframes) < _WINDOW or keyframes[-1].number % _EVERY:
+    @property
+    def is_settled(self) -> bool:
+        """Whether so many pairs told that further ones need not be waited for."""
+        return len(self._pairs) >= _SETTLED
+
+    def learn(self, views_by_offset: Array, views: HeldViews, noise_px: float) -> None:
+        """A pair was located: its ``views`` miss by ``views_by_offset`` (2, n, 2) px a px of an offset."""
+        if not self._learns:
             return
-        told = keyframe_map.offset_told(_WINDOW)
-        if told.information > 0.0:
-            self._windows.append(FoundOffset(told.score / told.information, told.information**-0.5))
+        precision = (views.weights[:, :, None] / noise_px) ** 2
+        information = float((precision * views_by_offset**2).sum())
+        if information > 0.0:
+            score = float((precision * views_by_offset * views.errors_px).sum())
+            self._pairs.append(FoundOffset(score / information, information**-0.5))
 
     def found(self, std_px: float) -> FoundOffset | None:
         """The offset, None where it is not known much better than to ``std_px``, which was believed of it
-        before: windows are weighed by what they know, and must agree.
+        before: pairs are weighed by what they know, and must agree.
         """
-        if not self._windows:
+        if not self._pairs:
             return None
-        offsets, stds = np.array(self._windows).T
+        offsets, stds = np.array(self._pairs).T
         weights = stds**-2.0
         offset = float((weights * offsets).sum() / weights.sum())
         spread = _SPREAD * float(np.median(np.abs(offsets - offset))) / math.sqrt(len(offsets))
         known = FoundOffset(offset, math.hypot(_TIMES * float(weights.sum()) ** -0.5, spread, _FLOOR_PX))
         if known.std_px >= _ENOUGH * std_px or abs(offset) >= _MOST_PX:
             return None
-        return known._replace(std_px=known.std_px * math.sqrt(1.0 + _FEW_WINDOWS / len(offsets)))
+        return known._replace(std_px=known.std_px * math.sqrt(1.0 + _FEW_PAIRS / len(offsets)))

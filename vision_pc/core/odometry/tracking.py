@@ -49,12 +49,7 @@ _LEVELS = 4  # [D] of the pyramid
 _BACK_ERROR_PX = 0.5  # [D] forward-backward tracking
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
 _COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
-_PARTS = (6, 4)  # columns and rows: a person or a lorry fills some of them
-_PART_VIEWS, _PART_SHARE = 4, 0.3  # a part has so many views at least, and that share of them is seen
 _SAME_LIGHT = 0.02
-_EVENED_PX = 31  # px of a halved picture: twice what flow looks at
-_EVENED_GREY = 40.0  # grey levels rms
-_EVENED_NOISE = 2.0  # what a place without texture has
 _BORDER = 8  # px: a window this close to the rim has lost too much of itself
 
 
@@ -75,12 +70,9 @@ def features(image: Image, allowed: Flags, taken: Array, most: int) -> Array:
     """
     response = cv2.cornerMinEigenVal(image, _BLOCK, ksize=3)
     response[~allowed] = 0.0
-    response[:_BORDER], response[-_BORDER:], response[:, :_BORDER], response[:, -_BORDER:] = (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    inner = np.zeros_like(allowed)
+    inner[_BORDER:-_BORDER, _BORDER:-_BORDER] = True
+    response[~inner] = 0.0
     floor = max(_LEAST_EIGENVALUE, _QUALITY * float(response.max()))
     rows = np.linspace(0, image.shape[0], GRID_ROWS + 1).astype(int)
     columns = np.linspace(0, image.shape[1], GRID_COLUMNS + 1).astype(int)
@@ -111,21 +103,6 @@ def grid_cells(points: Array, shape: tuple[int, ...]) -> Flags:
     return cells
 
 
-def unexplained(views: Array, seen: Flags, shape: tuple[int, ...]) -> float:
-    """The share of ``views`` (n, 2) px that lie in parts of a picture of ``shape`` where hardly any is
-    ``seen`` (n,): of parts with some views.
-    """
-    columns, rows = _PARTS
-    part = (views[:, 0] * columns / shape[1]).astype(int) + columns * (views[:, 1] * rows / shape[0]).astype(
-        int
-    )
-    count = np.bincount(part, minlength=columns * rows)
-    held = np.bincount(part, weights=seen, minlength=columns * rows)
-    some = count >= _PART_VIEWS
-    missed = some & (held < _PART_SHARE * count)
-    return float(count[missed].sum() / max(count[some].sum(), 1))
-
-
 def alike(image: Image, other: Image) -> Image:
     """``image`` as bright as ``other`` is: exposures differ from picture to picture, and flow is followed by
     grey levels.
@@ -134,21 +111,6 @@ def alike(image: Image, other: Image) -> Image:
     if abs(gain - 1.0) < _SAME_LIGHT:
         return image
     return np.asarray(cv2.convertScaleAbs(image, alpha=gain), dtype=np.uint8)
-
-
-def evened(image: Image) -> Image:
-    """``image`` as bright and as rich in contrast everywhere, seen over ``_EVENED_PX``: a shadow that comes
-    or goes leaves its edge alone.
-    """
-    fine = image.astype(np.float32)
-    fine -= _mean_around(fine)
-    squares = np.maximum(_mean_around(fine * fine), 0.0)  # a sliding mean of float32 leaves less than nothing
-    fine *= _EVENED_GREY / (np.sqrt(squares) + _EVENED_NOISE)
-    return np.asarray(np.clip(fine + 128.0, 0.0, 255.0), dtype=np.uint8)
-
-
-def _mean_around(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray(cv2.blur(values, (_EVENED_PX, _EVENED_PX)), dtype=np.float32)
 
 
 def inside(pixels: Array, static: Flags) -> Flags:

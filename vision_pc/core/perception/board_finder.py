@@ -8,6 +8,7 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.april_grid import AprilGrid, Board, find_april_grid
 from vision_pc.core.perception.stereo_fit import PairView
 from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard
 from vision_pc.core.se3 import Array
@@ -16,14 +17,14 @@ from vision_pc.core.types import Image
 _OLD_PATTERN = "the pattern of before OpenCV 4.6, which begins with a marker"
 
 
-def find_board(
-    image: Image, board: Checkerboard | Charuco, name: str, detector: Detector = Detector.SECTORS
-) -> BoardView:
+def find_board(image: Image, board: Board, name: str, detector: Detector = Detector.SECTORS) -> BoardView:
     """The board's corners, in the board's order whichever way up the picture shows it.
 
     Where ``detector`` fails the others are tried, and of a ChArUco board the pattern that older programs
     print; ``second`` of the view tells which. Raises MeasurementFailed when all have failed.
     """
+    if isinstance(board, AprilGrid):
+        return find_april_grid(image, board, name)
     if isinstance(board, Charuco):
         try:
             return zhang.find_charuco(image, board, name)

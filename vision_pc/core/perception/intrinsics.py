@@ -23,15 +23,15 @@ def calibration(settings: CameraSettings) -> CameraCalibration:
 
     Raises ConfigurationError as ``rectification.geometry``.
     """
-    told = settings.calibration
-    if isinstance(told, StereoCalibration):
-        return rectified_camera(told)
-    R_CR = se3.exp_so3(np.radians(told.right_rotation_vector_deg))
+    known = settings.calibration
+    if isinstance(known, StereoCalibration):
+        return rectified_camera(known)
+    R_CR = se3.exp_so3(np.radians(known.right_rotation_vector_deg))
     return CameraCalibration(
         settings.width_px,
         settings.height_px,
-        _eye(told.left, se3.identity()),
-        _eye(told.right, se3.transform(R_CR, (told.baseline_m, 0.0, 0.0))),
+        _eye(known.left, se3.identity()),
+        _eye(known.right, se3.transform(R_CR, (known.baseline_m, 0.0, 0.0))),
     )
 
 

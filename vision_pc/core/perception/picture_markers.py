@@ -3,11 +3,13 @@
 What OpenCV's detector finds is refined; what it finds square but cannot read is read from a fit of its cells.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vision_pc.core.perception import marker_edges, marker_template
 from vision_pc.core.se3 import Array
@@ -15,31 +17,27 @@ from vision_pc.core.types import Image
 
 LEAST_SIDE_PX = 8.0  # of the mean edge: a cell of a 36h11 then has 1 px
 _WINDOWS = (5, 9, 13, 23, 45)  # px: one window loses markers whose border is far thinner or wider
-_USUAL, _SENSITIVE = (
-    7.0,
-    3.0,
-)  # grey levels that a border is darker by; [M] 3 loses half as many of 75° or 12 px
-_GROWN_PX = 1.0  # squares of few pixels are found too small
+_USUAL, _SENSITIVE = 7.0, 3.0  # grey levels of a darker border; [M] 3 loses half as many of 75° or 12 px
+_GROWN = (1.0, 1.08, 1.16)  # [D] times a square of few pixels, which is found too small
+_SAME_PX = 1.0  # [D] of all corners: the square of another window
 _EDGE_STD_PX = 0.05  # corners by edge lines, noise 2, sides from 16 px on
 _LONG_PX = 16.0  # shorter edges have fewer than ten profiles
 _SHORT_EDGE_STD_PX = 0.15
-_GRADIENT_STD_PX = 0.25  # by gradients in a small window
-_ROUGH_STD_PX = 0.7  # as the detector has them
-
-
-_READ_LIKE = 0.9  # correlation of a marker that OpenCV did not read with what it is said to be
-_SHOWS_LIKE = (
-    0.6  # the same of the cells' middles, of any marker: keys of a keyboard have 0.1, a screen's edge 0.5
-)
+_MOST_BLUR = 0.7  # [D] cells, of a square that was not read: of others nothing tells the cells apart
+_UNREAD_PX = 0.3  # [D]
+_VAGUE_PX = 0.7  # [D] σ of a fit of another thing
+_UNLIKE = (
+    0.1 / 36
+)  # a cell: what a marker that OpenCV did not read may lack to the correlation with its number
+_SHOWS_LIKE = 0.6  # [M] of the cells' middles, of any: keys of a keyboard have 0.1, a screen's edge 0.5
 _PLACES, _LEAST_CONTRAST = 9, 8.0  # of a side; grey levels: less than lines need, for small blurred markers
-_FITTED_PX = 90.0  # of an edge
-_EDGE_REACH_PX = 1.5  # to either side, at most half a cell: corners by gradients are not believed farther off
+_EDGE_REACH_PX = 1.5  # [D] to either side, at most half a cell
 _CORRECTION = 0.6  # share of the wrong cells that a dictionary could correct
 
 
 class PictureMarker(NamedTuple):
-    """A marker's number, its corners (4, 2) px in ArUco's order, how they were refined (``cells``, ``edges``,
-    ``gradients``, ``rough``), and their standard deviation per coordinate, px.
+    """A marker's number, its corners (4, 2) px in ArUco's order, how they were refined (``cells``,
+    ``edges``), and their standard deviation per coordinate, px.
     """
 
     number: int
@@ -68,84 +66,123 @@ def search(
 ) -> MarkerSearch:
     """What of ``dictionary`` is in ``image``, markers smaller than ``LEAST_SIDE_PX`` left out.
 
-    With ``requested`` numbers only these are given, and other threshold windows than ``window_px`` are tried
-    only while one of them is missing; without, all windows are tried.
+    With ``requested`` numbers only these are given, and the search ends when all of them are there: other
+    threshold windows than ``window_px`` are tried only while one is missing. Without, all are tried.
     """
-    book = _book(dictionary)
     markers: list[PictureMarker] = []
     read: list[tuple[int, Array]] = []
-    is_grid = dictionary.startswith("DICT_APRILTAG")
     unread: list[Array] = []
-    for window, darker in ((window_px, _USUAL), *((other, _SENSITIVE) for other in _WINDOWS)):
-        if requested and requested <= {marker.number for marker in markers}:
-            break
+    is_grid = dictionary.startswith("DICT_APRILTAG")
+    usual = ((window_px, _USUAL),) if requested else ()
+    for window, darker in (*usual, *((other, _SENSITIVE) for other in _WINDOWS)):
         quads, ids, rejected = _detector(dictionary, window, darker).detectMarkers(image)
         for number, quad in zip([] if ids is None else map(int, ids.ravel()), quads, strict=True):
             place = quad.reshape(4, 2).astype(np.float64)
             if (not requested or number in requested) and not _is_known(markers, number, place):
                 read.append((number, place))
-                made = refined(image, number, place, _cells(book, number), is_grid)
+                made = refined(image, number, place, _cells(dictionary, number), is_grid)
                 markers += [] if made is None else [made]
+        if requested and requested <= {marker.number for marker in markers}:
+            break
         unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
-    if not requested or not requested <= {marker.number for marker in markers}:
-        more = _read_quads(image, unread, markers, book, requested)
-        large = [marker for marker in more if marker.side_px >= LEAST_SIDE_PX]
-        markers += [marker for marker in large if looks_right(image, marker, _cells(book, marker.number))]
+    else:
+        markers += _read_quads(image, unread, markers, dictionary, requested)
     edgeless = {number for number, place in read if not _is_known(markers, number, place)}
-    alone = [quad for quad in unread if not any(_covers(marker.corners, quad) for marker in markers)]
+    alone = _elsewhere(unread, markers)
+    alone = alone[np.linalg.norm(alone[:, 0] - alone[:, 1], axis=1) >= LEAST_SIDE_PX]
     return MarkerSearch(
         sorted(markers, key=lambda marker: (marker.number, *marker.corners[0])),
         sorted(edgeless),
-        len(_apart(alone)),
+        len(_first_of_each(alone, _are_about)),
     )
 
 
-def _apart(quads: list[Array]) -> list[Array]:
-    """One of each place, of a marker's size."""
-    found: list[Array] = []
-    for quad in quads:
-        if np.linalg.norm(quad[0] - quad[1]) >= LEAST_SIDE_PX and not any(
-            _covers(one, quad) for one in found
-        ):
-            found.append(quad)
+def _elsewhere(quads: list[Array], markers: list[PictureMarker]) -> Array:
+    """The squares (n, 4, 2) that are about the place of no marker."""
+    left = np.array(quads).reshape(-1, 4, 2)
+    for marker in markers:
+        left = left[~_are_about(marker.corners, left)]
+    return left
+
+
+def _first_of_each(quads: Array, alike: Callable[[Array, Array], NDArray[np.bool_]]) -> list[Array]:
+    """The first of the squares (n, 4, 2) and of those that are not ``alike`` one before."""
+    found = []
+    while len(quads):
+        found.append(quads[0])
+        quads = quads[~alike(quads[0], quads)]
     return found
+
+
+def _are_about(corners: Array, quads: Array) -> NDArray[np.bool_]:
+    """Which of ``quads`` (n, 4, 2) have their middle within half a side of that of ``corners``."""
+    off = np.linalg.norm(quads.mean(axis=-2) - corners.mean(axis=0), axis=-1)
+    return np.asarray(off < 0.5 * np.linalg.norm(corners[0] - corners[1]))
+
+
+def _are_same(corners: Array, quads: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(quads - corners).max(axis=(-1, -2)) < _SAME_PX)
 
 
 def _read_quads(
     image: Image,
     quads: list[Array],
     markers: list[PictureMarker],
-    book: cv2.aruco.Dictionary,
+    dictionary: str,
     requested: frozenset[int],
 ) -> list[PictureMarker]:
-    """Markers in squares that the detector could not read, where their cells, fitted, have a number."""
-    found: list[PictureMarker] = []
-    for quad in quads:
-        if any(_covers(marker.corners, quad) for marker in (*markers, *found)):
+    """Markers in squares that the detector could not read, where the cells of one fit: the likest first."""
+    book, found = _book(dictionary), list[PictureMarker]()
+    free = _first_of_each(_elsewhere(quads, markers), _are_same)
+    tried = [quad.mean(axis=0) + grown * (quad - quad.mean(axis=0)) for quad in free for grown in _GROWN]
+    count, cells = _patterns(dictionary).shape
+    chance = float(
+        np.sqrt(1.0 - count ** (-2.0 / (cells - 1)))
+    )  # what the likest of so many has of any square
+    for likeness, number, quad in sorted(_likest(image, tried, dictionary), key=lambda one: -one[0]):
+        wanted = likeness >= chance and (not requested or number in requested)
+        if not wanted or any(_are_about(marker.corners, quad) for marker in found):
             continue
-        for start in (quad, _grown(quad)):
-            marker = _read_one(image, start, book)
-            if marker is not None and (not requested or marker.number in requested):
-                found.append(marker)
-                break
+        fitted = marker_template.fit(image, quad, _cells(dictionary, number))
+        allowed = _CORRECTION * book.maxCorrectionBits
+        if fitted is None or fitted.likeness < 1.0 - _UNLIKE * cells or fitted.wrong_cells > allowed:
+            continue
+        marker = PictureMarker(number, fitted.corners, "cells", fitted.std_px)
+        sharp = fitted.blur_px < _MOST_BLUR * marker.side_px / (book.markerSize + 2)
+        if marker.side_px >= LEAST_SIDE_PX and fitted.std_px < _UNREAD_PX and sharp:
+            found.append(marker)
     return found
 
 
-def _read_one(image: Image, quad: Array, book: cv2.aruco.Dictionary) -> PictureMarker | None:
-    """The marker about ``quad`` whose number its cells have, if they have one."""
-    blank = np.full((book.markerSize + 2,) * 2, 0.5)
-    blank[[0, -1]] = blank[:, [0, -1]] = 0.0
-    shown = marker_template.fit(image, quad, blank, known=False)
-    if shown is None:
-        return None
-    bits = (shown.cells[1:-1, 1:-1] > 0.5).astype(np.uint8)
-    good, number, turns = book.identify(bits, _CORRECTION)
-    if not good:
-        return None
-    fitted = marker_template.fit(image, np.roll(shown.corners, turns, axis=0), _cells(book, number))
-    if fitted is None or fitted.likeness < _READ_LIKE:
-        return None
-    return PictureMarker(int(number), fitted.corners, "cells", fitted.std_px)
+def _likest(image: Image, quads: list[Array], dictionary: str) -> list[tuple[float, int, Array]]:
+    """Of each square: the correlation of its cells' middles with the likest marker's, that number, and the
+    square as this marker is turned.
+    """
+    patterns = _patterns(dictionary)
+    count = round(patterns.shape[1] ** 0.5) + 2
+    grey = marker_template.grey_at(image, np.array(quads).reshape(-1, 4, 2), _middles(count, 1))
+    grey -= grey.mean(axis=1, keepdims=True)
+    grey /= np.maximum(np.linalg.norm(grey, axis=1, keepdims=True), 1.0)
+    alike = grey.astype(np.float32) @ patterns.T
+    best = alike.argmax(axis=1)
+    return [
+        (float(each[k]), int(k) // 4, np.roll(quad, k % 4, axis=0))
+        for each, k, quad in zip(alike, best, quads, strict=True)
+    ]
+
+
+def _middles(count: int, rim: int) -> Array:
+    """The middles of the cells within a border of ``rim``, row by row, in a square of side 1 about 0."""
+    return (np.indices((count - 2 * rim,) * 2).reshape(2, -1)[::-1].T + rim + 0.5) / count - 0.5
+
+
+@lru_cache(maxsize=32)
+def _patterns(dictionary: str) -> Array:
+    """The inner cells of every marker in its four turns (4 n, cells), each of mean 0 and length 1."""
+    inner = [_cells(dictionary, k)[1:-1, 1:-1] for k in range(len(_book(dictionary).bytesList))]
+    made = np.array([np.rot90(cells, turns).ravel() for cells in inner for turns in range(4)])
+    made -= made.mean(axis=1, keepdims=True)
+    return np.asarray(made / np.maximum(np.linalg.norm(made, axis=1, keepdims=True), 1e-9), np.float32)
 
 
 def looks_right(image: Image, marker: PictureMarker, cells: Array) -> bool:
@@ -153,48 +190,27 @@ def looks_right(image: Image, marker: PictureMarker, cells: Array) -> bool:
     vague on other things; where there is none the grey levels in their middles must go with them.
     """
     if marker.method == "cells":
-        return marker.std_px < _ROUGH_STD_PX
-    rows, columns = (index.ravel() + 0.5 for index in np.indices(cells.shape))
-    middles = np.column_stack([columns, rows])
-    grey = _grey_at(image, marker.corners, len(cells), middles)
+        return marker.std_px < _VAGUE_PX
+    grey = marker_template.grey_at(image, marker.corners[None], _middles(len(cells), 0))[0]
     return bool(np.corrcoef(grey, cells.ravel())[0, 1] >= _SHOWS_LIKE)
 
 
-def _grown(quad: Array) -> Array:
-    """The square with its corners moved away from its middle."""
-    away = quad - quad.mean(axis=0)
-    return np.asarray(quad + _GROWN_PX * away / np.linalg.norm(away, axis=1, keepdims=True))
-
-
-def _covers(corners: Array, quad: Array) -> bool:
-    """Whether both are about the same square."""
-    side = float(np.linalg.norm(corners[0] - corners[1]))
-    return bool(np.linalg.norm(corners.mean(axis=0) - quad.mean(axis=0)) < 0.5 * side)
-
-
 def refined(image: Image, number: int, rough: Array, cells: Array, wide: bool) -> PictureMarker | None:
-    """The marker with its corners refined; None where no edge tells them, or it looks otherwise.
+    """The marker with its corners refined by all of its ``cells``, else by edge lines; None where neither
+    tells them, or it looks otherwise.
 
     ``wide``: where ink is on both sides of them, the border is tried as two cells wide, as in AprilTag grids.
     """
-    made = _refined_by(image, number, rough, cells)
-    if _is_whole(image, made, cells):
-        return made
-    if not wide:
-        return None
-    padded = np.pad(cells, 1)
-    by_lines = _by_edges(image, number, _near(image, _outer(rough, len(cells)), padded))
-    return by_lines if by_lines is not None and _is_whole(image, by_lines, padded) else None
-
-
-def _near(image: Image, corners: Array, cells: Array) -> Array:
-    """Corners nearer to the marker's by all of its light, in a picture made small enough for that; as they
-    are where it fails. What touches corners spoils them by a tenth of a pixel.
-    """
-    scale = min(1.0, _FITTED_PX / float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()))
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    fitted = marker_template.fit(np.asarray(small, dtype=np.uint8), scale * (corners + 0.5) - 0.5, cells)
-    return corners if fitted is None else np.asarray((fitted.corners + 0.5) / scale - 0.5)
+    for beyond in range(1 + wide):
+        quad, shown = (_outer(rough, len(cells)), np.pad(cells, 1)) if beyond else (rough, cells)
+        fitted = marker_template.fit(image, quad, shown)
+        if fitted is None or beyond:  # what touches corners spoils a fit by a tenth of a pixel
+            made = _by_edges(image, number, quad if fitted is None else fitted.corners)
+        else:
+            made = PictureMarker(number, fitted.corners, "cells", fitted.std_px)
+        if made is not None and _is_whole(image, made, shown):
+            return made
+    return None
 
 
 def _is_whole(image: Image, marker: PictureMarker, cells: Array) -> bool:
@@ -222,52 +238,18 @@ def _outer(corners: Array, count: int) -> Array:
 
 def _has_edges(image: Image, marker: PictureMarker, count: int) -> bool:
     """Whether each side has ink just within it that is darker than the paper just beyond."""
-    along = (np.arange(_PLACES) + 0.5) * count / _PLACES
-    reach = min(0.5, _EDGE_REACH_PX * count / marker.side_px)  # cells
-    inside, outside = np.full(_PLACES, reach), np.full(_PLACES, -reach)
+    along = (np.arange(_PLACES) + 0.5) / _PLACES - 0.5
+    reach = min(0.5 / count, _EDGE_REACH_PX / marker.side_px)
+    inside, outside = np.full(_PLACES, 0.5 - reach), np.full(_PLACES, 0.5 + reach)
     sides = [
-        np.stack([np.concatenate([across, count - across, along, along]),
-                  np.concatenate([along, along, across, count - across])], axis=-1)
-        for across in (inside, outside)
-    ]  # fmt: skip
-    ink, paper = (_grey_at(image, marker.corners, count, places).reshape(4, _PLACES) for places in sides)
+        np.column_stack(
+            [np.concatenate([-off, off, along, along]), np.concatenate([along, along, -off, off])]
+        )
+        for off in (inside, outside)
+    ]
+    grey = marker_template.grey_at(image, marker.corners[None], np.concatenate(sides))
+    ink, paper = grey.reshape(2, 4, _PLACES)
     return bool((np.median(paper - ink, axis=1) >= _LEAST_CONTRAST).all())
-
-
-def _grey_at(image: Image, corners: Array, count: int, places: Array) -> Array:
-    """The grey levels at ``places`` (n, 2) x, y, in cells of a marker."""
-    square = np.array([[0, 0], [count, 0], [count, count], [0, count]], dtype=np.float32)
-    H = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
-    seen = cv2.perspectiveTransform(places[None].astype(np.float32), H)[0]
-    grey = cv2.remap(
-        image, seen[:, 0].copy(), seen[:, 1].copy(), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(grey.ravel(), dtype=np.float64)
-
-
-def _refined_by(image: Image, number: int, rough: Array, cells: Array) -> PictureMarker:
-    """The marker with its corners refined by all of its ``cells``, else by edge lines, by gradients, or as
-    they are.
-    """
-    edges = _by_edges(image, number, rough)
-    for start in [rough] if edges is None else [edges.corners, rough]:
-        fitted = marker_template.fit(image, start, cells)
-        if fitted is not None:
-            return PictureMarker(number, fitted.corners, "cells", fitted.std_px)
-    if edges is not None:
-        return edges
-    side = float(np.linalg.norm(rough - np.roll(rough, -1, axis=0), axis=1).min())
-    reach = int(np.clip(side / 6.0 - 1.0, 1.0, 3.0))  # within the border, whose cells are a sixth or less
-    moved = cv2.cornerSubPix(
-        image,
-        rough.astype(np.float32).reshape(-1, 1, 2),
-        (reach, reach),
-        (-1, -1),
-        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.005),
-    ).reshape(4, 2)
-    if np.abs(moved - rough).max() <= reach:
-        return PictureMarker(number, moved.astype(np.float64), "gradients", _GRADIENT_STD_PX)
-    return PictureMarker(number, rough, "rough", _ROUGH_STD_PX)
 
 
 def drawn(image: Image, markers: list[PictureMarker]) -> Image:
@@ -285,15 +267,15 @@ def drawn(image: Image, markers: list[PictureMarker]) -> Image:
 
 def _is_known(markers: list[PictureMarker], number: int, place: Array) -> bool:
     """Whether a marker of this number was found about there already."""
-    return any(marker.number == number and _covers(marker.corners, place) for marker in markers)
+    return any(marker.number == number and bool(_are_about(marker.corners, place)) for marker in markers)
 
 
-def _cells(book: cv2.aruco.Dictionary, number: int) -> Array:
+def _cells(dictionary: str, number: int) -> Array:
     """Ink 0 and paper 1 of a marker, (n, n), border included."""
-    return (book.generateImageMarker(number, book.markerSize + 2) > 0).astype(np.float64)
+    return marker_edges.cells_of(dictionary, number).astype(np.float64)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def _book(dictionary: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
 

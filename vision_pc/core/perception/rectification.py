@@ -24,8 +24,7 @@ from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPa
 _WIDEST = np.radians(88.0)  # from the axis: no pinhole picture shows more
 _LEAST_FOCAL = 0.5  # of a fisheye's: a pinhole picture of all of it would have its middle in a few pixels
 _ANGLES = 2000
-_NEWTON_STEPS = 12
-_STEP = 1e-6
+_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
 class RawLens(NamedTuple):
@@ -36,21 +35,14 @@ class RawLens(NamedTuple):
     fisheye: bool
 
     def undistorted(self, pixels: Array) -> Array:
-        """Image coordinates x/z, y/z (n, 2) of raw ``pixels`` (n, 2): Newton's method on ``project``."""
-        expected = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        rays = (expected - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        """Image coordinates x/z, y/z (n, 2) of raw ``pixels`` (n, 2)."""
+        points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
         if self.fisheye:
-            found = cv2.fisheye.undistortPoints(expected[:, None], self.K, self.distortion)
-            rays = np.asarray(found, dtype=np.float64).reshape(-1, 2)
-        for _ in range(_NEWTON_STEPS):
-            slopes = [(self._pixels_of(rays + step) - self._pixels_of(rays - step)) / (2.0 * _STEP)
-                      for step in _STEP * np.eye(2)]  # fmt: skip
-            error = expected - self._pixels_of(rays)
-            rays = rays + np.linalg.solve(np.stack(slopes, axis=-1), error[..., None])[..., 0]
-        return np.asarray(rays, dtype=np.float64)
-
-    def _pixels_of(self, rays: Array) -> Array:
-        return self.project(np.column_stack([rays, np.ones(len(rays))]))
+            found = cv2.fisheye.undistortPoints(points, self.K, self.distortion, criteria=_UNTIL)
+        else:
+            same = np.eye(3)
+            found = cv2.undistortPointsIter(points, self.K, self.distortion, same, same, _UNTIL)
+        return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
     def project(self, points: Array) -> Array:
         """Raw pixels (n, 2) of ``points`` (n, 3) in the eye's own axes."""

@@ -1,5 +1,6 @@
 """Samples along a motion: markers and odometry of every frame, beside where the arm said it was."""
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Generic, Protocol, TypeVar
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.perception import look
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, local
 from vision_pc.core.types import (
     CameraErrors,
     CameraFrame,
@@ -17,6 +18,8 @@ from vision_pc.core.types import (
     WatchSample,
 )
 
+AT_REST = 7  # the last samples of a watch, after the motion has settled
+_STANDS = 1e-3  # [E] m, rad: an arm that moved less since the last measured frame stands
 _MASK_EVERY = 10  # frames between looks at the tool marker when markers are not wanted for themselves
 
 F = TypeVar("F", bound=CameraFrame)
@@ -50,11 +53,14 @@ class Sensor(Protocol[F_contra]):
 
 
 class Watcher(Generic[F]):
-    """Gathers a ``WatchSample`` from every frame given to it.
+    """Gathers a ``WatchSample`` from every frame given to it; while the arm stands, from the newest alone.
+
+    Those are measured when it goes on and when the watch ends; at once when the watch is ``live``.
 
     ``previous``: the newest observation before the watch; what it knows of the right eye's offset and of
     where the markers are is carried on. Without one the first frame is searched. The first tracked camera
-    frame is C0. ``object_wanted``: where markers are, ``require`` asks for the object's as well.
+    frame is C0. ``newest``: the frame in which markers were searched last, and what was found, for whoever
+    looks next. ``object_wanted``: where markers are, ``require`` asks for the object's as well.
     """
 
     def __init__(
@@ -64,6 +70,9 @@ class Watcher(Generic[F]):
         self._markers = markers
         self._wants_odometry = odometry
         self._observation = previous
+        self.newest: tuple[F, FrameObservation] | None = None
+        self._resting: deque[tuple[F, Array]] = deque(maxlen=AT_REST)
+        self.live = False
         self._odometry: Odometry[F] | None = None
         self._samples: list[WatchSample] = []
         self._inliers: list[int] = []
@@ -71,10 +80,19 @@ class Watcher(Generic[F]):
         self._last_loss: str | None = None
         self.object_wanted = True
 
-    def add(self, frame: F, X_BT: Array) -> WatchSample:
-        """The sample of ``frame``, which has been added to ``samples``; ``X_BT`` is the controller's at its
-        capture.
-        """
+    def add(self, frame: F, X_BT: Array) -> None:
+        """Take ``frame``; ``X_BT`` is the controller's at its capture."""
+        stands = self._samples and np.abs(local(self._samples[-1].X_BT, X_BT)).max() < _STANDS
+        self._resting.append((frame, X_BT))
+        if self.live or not stands:
+            self.measure()
+
+    def measure(self) -> None:
+        """Measure in the frames that were taken and not measured yet."""
+        while self._resting:
+            self._sample(*self._resting.popleft())
+
+    def _sample(self, frame: F, X_BT: Array) -> None:
         observation = self._observed(frame)
         tracked = self._track(frame, observation, X_BT) if self._wants_odometry else None
         seen = observation if self._markers else None
@@ -94,7 +112,6 @@ class Watcher(Generic[F]):
                 ("object", seen.X_CO, seen.missing_object),
             ):
                 self._missing[what].append(None if X is not None else reason or "not_seen")
-        return sample
 
     def _observed(self, frame: F) -> FrameObservation | None:
         """Markers of this frame, where they are wanted or the odometry needs them."""
@@ -102,7 +119,7 @@ class Watcher(Generic[F]):
         if not (self._markers or due):
             return None
         observation = self._sensor.observe(frame, self._observation)
-        self._observation = observation
+        self._observation, self.newest = observation, (frame, observation)
         return observation
 
     def _track(self, frame: F, observation: FrameObservation | None, X_BT: Array) -> OdometryPose | None:
@@ -125,16 +142,13 @@ class Watcher(Generic[F]):
         """One sample for every frame so far, in order."""
         return tuple(self._samples)
 
-    @property
-    def observation(self) -> FrameObservation | None:
-        """The newest observation of markers, for whoever looks next."""
-        return self._observation
-
     def calibrate(self) -> None:
         """Find the camera's errors from all samples: the newest observation and sample then know them."""
         errors = self._sensor.errors(self._samples)
-        if errors is not None and self._observation is not None:
-            self._observation = self._observation._replace(errors=errors, offset=errors.offset)
+        if errors is not None and self.newest is not None:
+            frame, observation = self.newest
+            self._observation = observation._replace(errors=errors, offset=errors.offset)
+            self.newest = frame, self._observation
             self._samples[-1] = self._samples[-1]._replace(observation=self._observation)
 
     @property

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from vision_pc.config.choices import Detector
+from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
@@ -48,6 +49,9 @@ class Charuco(NamedTuple):
     dictionary: int
 
 
+PlainBoard = Checkerboard | Charuco
+
+
 class BoardView(NamedTuple):
     """Corners of one picture: ``points_m`` (k, 3) on the board and ``pixels`` (k, 2); ``second``: what found
     them where the first finder failed.
@@ -60,8 +64,7 @@ class BoardView(NamedTuple):
 
 
 class Intrinsics(NamedTuple):
-    """``K`` (3, 3) px, ``distortion`` (5,) k1 k2 p1 p2 k3; ``std_px`` (4,) of fx, fy, cx, cy, and the
-    ``covariance`` (9, 9) of these and the distortion.
+    """``K`` (3, 3) px, ``distortion`` (5,) k1 k2 p1 p2 k3; ``std_px`` (4,) of fx, fy, cx, cy.
 
     ``rms_px`` over all corners; per view in ``names``' order ``view_rms_px`` (n,) and ``X_CB`` (n, 4, 4),
     the board in the camera; ``coverage`` (6, 8) counts corners by picture cell; ``outlying`` names views
@@ -71,7 +74,6 @@ class Intrinsics(NamedTuple):
     K: Array
     distortion: Array
     std_px: Array
-    covariance: Array
     rms_px: float
     names: tuple[str, ...]
     view_rms_px: Array
@@ -105,10 +107,13 @@ def find_checkerboard(image: Image, board: Checkerboard, detector: Detector, nam
             else _window(_doubles(corners).reshape(-1, 2), board)
         )
         corners = cv2.cornerSubPix(image, corners, (window, window), (-1, -1), _SUBPIXEL_UNTIL)
-    return BoardView(name, _grid(board), np.asarray(corners, dtype=np.float64).reshape(-1, 2))
+    return BoardView(name, board_points(board), np.asarray(corners, dtype=np.float64).reshape(-1, 2))
 
 
-def _grid(board: Checkerboard) -> Array:
+def board_points(board: PlainBoard) -> Array:
+    """All corners (n, 3) of the board, m, row by row."""
+    if isinstance(board, Charuco):
+        return np.asarray(charuco_board(board).getChessboardCorners(), dtype=np.float64)
     rows, columns = np.mgrid[0 : board.rows, 0 : board.columns]
     flat = [columns.ravel(), rows.ravel(), np.zeros(rows.size)]
     return np.stack(flat, axis=1).astype(np.float64) * board.square_m
@@ -143,8 +148,11 @@ def find_charuco(image: Image, board: Charuco, name: str, old_pattern: bool = Fa
         raise MeasurementFailed(
             "measurement.intrinsics.no_board", f"view {name}: {count} ChArUco corners, 6 are needed"
         )
-    points = np.asarray(target.getChessboardCorners(), dtype=np.float64)[np.asarray(ids).ravel()]
-    return BoardView(name, points, np.asarray(corners, dtype=np.float64).reshape(-1, 2))
+    return BoardView(
+        name,
+        board_points(board)[np.asarray(ids).ravel()],
+        np.asarray(corners, dtype=np.float64).reshape(-1, 2),
+    )
 
 
 def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics:
@@ -170,7 +178,8 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
             "measurement.intrinsics.undetermined", f"the views determine no camera: {reason}"
         ) from error
     std_px = _doubles(std).ravel()[:4]
-    X_CB = np.stack([_board_pose(_doubles(r), _doubles(t)) for r, t in zip(turns, shifts, strict=True)])
+    R_CB = [cv2.Rodrigues(_doubles(turn))[0] for turn in turns]
+    X_CB = np.stack([se3.transform(R, np.ravel(t)) for R, t in zip(R_CB, shifts, strict=True)])
     _require_focal_length(_doubles(K), std_px, X_CB)
     view_rms = _doubles(per_view).ravel()
     limit = _OUTLYING * float(np.median(view_rms))
@@ -178,32 +187,13 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
         _doubles(K),
         _doubles(distortion).ravel()[:5],
         std_px,
-        _covariance(views, _doubles(K), _doubles(distortion).ravel()[:5], X_CB, float(rms)),
         float(rms),
         tuple(v.name for v in views),
         view_rms,
         X_CB,
-        coverage(views, width, height),
+        coverage(np.concatenate([v.pixels for v in views]), (width, height), _CELLS),
         tuple(v.name for v, e in zip(views, view_rms, strict=True) if e > limit),
     )
-
-
-def _covariance(views: Sequence[BoardView], K: Array, distortion: Array, X_CB: Array, rms_px: float) -> Array:
-    """The covariance (9, 9) of fx, fy, cx, cy and distortion, the boards' poses unknown too.
-
-    OpenCV gives standard deviations alone, but focal lengths err together and distortion offsets the centre.
-    """
-    information, corners = np.zeros((9, 9)), 0
-    for view, X in zip(views, X_CB, strict=True):
-        slopes = cv2.projectPoints(view.points_m, cv2.Rodrigues(X[:3, :3])[0], X[:3, 3], K, distortion)[1]
-        by_pose, by_camera = slopes[:, :6], slopes[:, 6:15]
-        rest = by_camera - by_pose @ np.linalg.lstsq(by_pose, by_camera, rcond=None)[0]
-        information += rest.T @ rest
-        corners += len(view.pixels)
-    freedom = 2.0 * corners - 9.0 - 6.0 * len(views)
-    variance = rms_px**2 * corners / max(freedom, 1.0)
-    scale = 1.0 / np.sqrt(np.diag(information))
-    return np.asarray(variance * np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
 def _require_focal_length(K: Array, std_px: Array, X_CB: Array) -> None:
@@ -220,19 +210,13 @@ def _require_focal_length(K: Array, std_px: Array, X_CB: Array) -> None:
         )
 
 
-def _board_pose(turn: Array, shift: Array) -> Array:
-    X = np.eye(4)
-    X[:3, :3] = cv2.Rodrigues(turn)[0]
-    X[:3, 3] = shift.ravel()
-    return X
-
-
 def _doubles(values: Any) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-def coverage(views: Sequence[BoardView], width: int, height: int) -> NDArray[np.int64]:
-    """How many corners fell into each cell of a 6 × 8 grid over the picture: empty cells are extrapolated."""
-    pixels = np.concatenate([v.pixels for v in views])
-    counts, _, _ = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=_CELLS, range=((0, height), (0, width)))
-    return np.asarray(counts, dtype=np.int64)
+def coverage(pixels: Array, size: tuple[int, int], cells: tuple[int, int]) -> NDArray[np.int64]:
+    """How many of ``pixels`` (n, 2) fell into each of ``cells`` (rows, columns) of pictures of ``size``,
+    width and height: empty ones are extrapolated.
+    """
+    reach = ((0, size[1]), (0, size[0]))
+    return np.asarray(np.histogram2d(pixels[:, 1], pixels[:, 0], cells, reach)[0], dtype=np.int64)

@@ -22,14 +22,14 @@ from vision_pc.core.calibration.local_error_model import (
     watched_path,
 )
 from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.positioning.doubt import DoubtOf, carried, doubt_of, object_of, tool_doubt
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import (
-    ELSEWHERE,
     Ended,
     LookVerdict,
     PositioningResult,
     Step,
-    contradiction_m,
+    in_words,
     judge,
     positioning_error,
     reached,
@@ -39,12 +39,14 @@ from vision_pc.core.positioning.predicted_end import (
     end_by_look,
     end_by_odometry,
     expected_residual,
+    odometry_covariance,
     predicted_end,
     servo_spread,
+    swing_variance,
     worth_correcting,
 )
-from vision_pc.core.se3 import Array, local, transform
-from vision_pc.core.types import Look
+from vision_pc.core.se3 import Array, apply, local, transform
+from vision_pc.core.types import Contradiction, Look
 
 _FIRST_SHARE = 0.9  # [S] of the way, before the first correction
 _DOUBTFUL = 0.5  # of the tolerance: what is predicted does not expect ends farther off
@@ -93,9 +95,9 @@ async def look_then_move_corrected(
     look = await eyes.look()
     _refuse_stale(track, look)
     p_CM = look.X_CM[:3, 3]
-    goal_K = p_CM + positioning_error(look, settings.clearance_m)  # where the marker shall be, in K
+    goal_C = p_CM + positioning_error(look, settings.clearance_m)  # where the marker shall be
     steps: list[Step] = []
-    residuals = [goal_K - p_CM]
+    residuals, X_KC = [goal_C - p_CM], np.eye(4)
     if _stands_near_enough(residuals[0], track, settings, map_settings):
         return _stayed(look, track, settings, report)
     parts = 2 if settings.corrections and np.linalg.norm(residuals[0]) > map_settings.near_m else 1
@@ -107,8 +109,8 @@ async def look_then_move_corrected(
         steps.append(_step(look, fitted, track, planned, settings, map_settings))
         report(0.2 + 0.6 * min(len(steps) / (settings.corrections + 1), 1.0), _in_words(residuals[-1]))
         motion = await watched_path(arm, eyes, [steps[-1].X_BT_ref], dimensions, map_settings)
-        goal_K = motion.X_KC[0][:3, :3] @ goal_K + motion.X_KC[0][:3, 3]
-        residuals.append(goal_K - p_CM)
+        X_KC = motion.X_KC[0] @ X_KC
+        residuals.append(apply(X_KC, goal_C) - p_CM)
         if share == 1.0:
             motion = motion._replace(residuals=(fitted.R @ residuals[-1])[None])
         track = extended(track, motion)
@@ -116,18 +118,38 @@ async def look_then_move_corrected(
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     last = await eyes.look()
     looks = judge(look, settings), judge(last, settings)
-    track = track._replace(contradiction=contradiction_m(seen, last))
-    ended = _ended(looks[-1], seen, track, settings)
-    report(1.0, _error_in_words(looks[-1]) + (ELSEWHERE if ended is Ended.CONTRADICTED else ""))
-    return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track)
+    doubt = _doubt(look, X_KC, last, track, len(steps), settings, map_settings)
+    ended = _ended(looks[-1], seen, doubt, settings)
+    report(1.0, _error_in_words(looks[-1]) + in_words(doubt))
+    return CorrectedResult(PositioningResult(looks, tuple(steps), ended, doubt), seen, track)
+
+
+def _doubt(
+    first: Look,
+    X_KC: Array,
+    last: Look,
+    track: LocalTrack,
+    motions: int,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> Contradiction | None:
+    """What the ``last`` look contradicts: by odometry the camera went from C, where ``first`` was taken, to
+    K (X_KC, 4 by 4) in so many ``motions``. Its attitude is known as well as places at the object's distance.
+    """
+    d, distance_m = X_KC[:3, 3], abs(float(last.X_CO[2, 3]))
+    motion = odometry_covariance(d, first, map_settings) + swing_variance(track) * np.eye(3)
+    motion += (settings.axis_std_rad * d[2]) ** 2 * np.diag([1.0, 1.0, 0.0])  # as of ``error_covariance``
+    attitude = map_settings.odometry_std_m / distance_m
+    here = carried(object_of(first), X_KC, motion, motions * attitude**2)
+    return tool_doubt(first, last) or doubt_of(DoubtOf.OBJECT, here, object_of(last), last.time_ns)
 
 
 def _ended(
-    verdict: LookVerdict, seen: ExpectedEnd, track: LocalTrack, settings: PositioningSettings
+    verdict: LookVerdict, seen: ExpectedEnd, doubt: Contradiction | None, settings: PositioningSettings
 ) -> Ended:
     """Why nothing followed the last look, where odometry ``seen`` said what it did."""
     unresolved = np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
-    if track.contradiction > 0.0 and not unresolved:
+    if doubt is not None and not unresolved:
         return Ended.CONTRADICTED
     if reached(verdict, settings):
         return Ended.REACHED

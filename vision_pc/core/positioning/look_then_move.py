@@ -15,13 +15,12 @@ from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import PositioningSettings
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.positioning.doubt import DoubtOf, carried, doubt_of, object_of, tool_doubt
 from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.se3 import Array, transform
-from vision_pc.core.types import Look
+from vision_pc.core.types import Contradiction, Look
 
-ELSEWHERE = "; the object was expected elsewhere: does it move?"
 _SIGMAS_95 = 1.96
-_CONTRADICTS = 4.0  # [D] σ in x and y: 3 of 10,000 looks at what stands still, if both σ are honest
 _IMPROVEMENT = 0.8  # a further input must bring the error below this share of the last, or it is no use
 
 
@@ -70,11 +69,14 @@ class Ended(StrEnum):
 
 
 class PositioningResult(NamedTuple):
-    """Looks and steps in order, a look before the first step and after every one."""
+    """Looks and steps in order, a look before the first step and after every one; ``contradiction``: what
+    the last look contradicts.
+    """
 
     looks: tuple[LookVerdict, ...]
     steps: tuple[Step, ...]
     ended: Ended
+    contradiction: Contradiction | None = None
 
     @property
     def final(self) -> LookVerdict:
@@ -108,13 +110,34 @@ async def look_then_move(
             break
         if number == settings.inputs:
             break
+        before = look
         steps.append(step(look, settings, calibration))
         await arm.move_to(steps[-1].X_BT_ref, duration_s=settings.duration_s)
-    if steps and contradiction_m(steps[-1].expected, look) > 0.0:
+    doubt = _doubt(before, steps[-1].p_lc, look, settings, calibration) if steps else None
+    if doubt is not None:
         ended = Ended.CONTRADICTED
-    doubt = ELSEWHERE if ended is Ended.CONTRADICTED else ""
-    report(1.0, f"{ended.replace('_', ' ')}: {_in_words(looks[-1])}{doubt}")
-    return PositioningResult(tuple(looks), tuple(steps), ended)
+    report(1.0, f"{ended.replace('_', ' ')}: {_in_words(looks[-1])}{in_words(doubt)}")
+    return PositioningResult(tuple(looks), tuple(steps), ended, doubt)
+
+
+def in_words(doubt: Contradiction | None) -> str:
+    """What a report says after its error; nothing without a doubt."""
+    return "" if doubt is None else f"; {doubt}"
+
+
+def _doubt(
+    first: Look, p_lc: Array, last: Look, settings: PositioningSettings, calibration: LocalCalibration
+) -> Contradiction | None:
+    """What the ``last`` look contradicts, after a step ``p_lc`` (3,) in B from where ``first`` was taken.
+
+    The arm keeps the tool's orientation as far as it keeps straight lines: by ``strain_std``.
+    """
+    R_BC = calibration.rotation_at(first.X_BT)
+    motion = transform(np.eye(3), -R_BC.T @ p_lc)
+    moved = _motion_covariance(first, p_lc, settings, calibration)
+    attitude = settings.strain_std * float(np.linalg.norm(p_lc))
+    here = carried(object_of(first), motion, moved, attitude**2)
+    return tool_doubt(first, last) or doubt_of(DoubtOf.OBJECT, here, object_of(last), last.time_ns)
 
 
 def positioning_error(look: Look, clearance_m: float) -> Array:
@@ -148,10 +171,18 @@ def step(look: Look, settings: PositioningSettings, calibration: LocalCalibratio
             f"look-then-move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
         )
     X_BT_ref = transform(look.X_BT[:3, :3], look.X_BT[:3, 3] + p_lc)  # (22)
-    in_base = calibration.goal_covariance(p_lc) + settings.servo_std_m**2 * np.eye(3)
-    in_camera = R_BC.T @ in_base @ R_BC + error_covariance(look, settings.clearance_m, settings)
-    in_camera += np.diag((settings.strain_std * c_delta) ** 2)
+    in_camera = _motion_covariance(look, p_lc, settings, calibration)
+    in_camera += error_covariance(look, settings.clearance_m, settings) + doubt_covariance(look, settings)
     return Step(p_lc, X_BT_ref, expected_end(np.zeros(3), in_camera, settings.tolerance_m))
+
+
+def _motion_covariance(
+    look: Look, p_lc: Array, settings: PositioningSettings, calibration: LocalCalibration
+) -> Array:
+    """Covariance (3, 3) m² in C of where a step ``p_lc`` (3,) in B ends."""
+    R_BC = calibration.rotation_at(look.X_BT)
+    in_base = calibration.goal_covariance(p_lc) + settings.servo_std_m**2 * np.eye(3)
+    return np.asarray(R_BC.T @ in_base @ R_BC + np.diag((settings.strain_std * R_BC.T @ p_lc) ** 2))
 
 
 def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
@@ -166,14 +197,10 @@ def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
     return LookVerdict(error, covariance, settings.tolerance_m, settings.clearance_m, inside, certain)
 
 
-def contradiction_m(expected: ExpectedEnd, last: Look) -> float:
-    """How far (m) the ``last`` look lies in x and y from where the end was ``expected``; 0: no farther than
-    both explain.
-    """
-    off = (last.X_CO[:3, 3] - last.X_CM[:3, 3])[:2] - expected.mean_m[:2]
-    covariance = (expected.covariance + last.cov_CM[:3, :3] + last.cov_CO[:3, :3])[:2, :2]
-    distance = math.sqrt(float(off @ np.linalg.solve(covariance, off)))
-    return float(np.linalg.norm(off)) if distance > _CONTRADICTS else 0.0
+def doubt_covariance(look: Look, settings: PositioningSettings) -> Array:
+    """Covariance (3, 3) m² of what is in doubt; zeros where nothing is."""
+    variance = 0.0 if look.doubt is None else look.doubt.variance_m2(settings.tolerance_m)
+    return variance * np.eye(3)
 
 
 def reached(verdict: LookVerdict, settings: PositioningSettings) -> bool:

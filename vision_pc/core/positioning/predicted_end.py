@@ -10,7 +10,7 @@ from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettin
 from vision_pc.core.calibration.boom_levers import boom_levers, slew_lever
 from vision_pc.core.calibration.local_error_model import LocalErrorModel, LocalTrack
 from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
-from vision_pc.core.positioning.look_then_move import error_covariance
+from vision_pc.core.positioning.look_then_move import doubt_covariance, error_covariance
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Look
 
@@ -126,7 +126,7 @@ def predicted_end(
         remaining = after_corrections(across, settings.nudge_m, planned.motions)
         shrunk = np.diag([math.sqrt(remaining / across)] * 2 + [1.0])
         covariance = shrunk @ covariance @ shrunk
-    covariance += _odometry_covariance(planned.x, look, map_settings)  # the model, too, has its lengths
+    covariance += odometry_covariance(planned.x, look, map_settings)  # the model, too, has its lengths
     covariance += _look_covariance(look, track, settings)
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
@@ -140,7 +140,7 @@ def end_by_odometry(
 ) -> ExpectedEnd:
     """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``."""
     here = end_by_look(residuals[-1], look, track, settings)
-    way = _odometry_covariance(residuals[0], look, map_settings)
+    way = odometry_covariance(residuals[0], look, map_settings)
     return expected_end(here.mean_m, here.covariance + way, settings.tolerance_m)
 
 
@@ -165,16 +165,21 @@ def _uncorrected_backlash(x: Array, fitted: LocalErrorModel, settings: LocalErro
 def _look_covariance(look: Look, track: LocalTrack, settings: PositioningSettings) -> Array:
     """Covariance (3, 3) m² of the error that is left where ``look`` measures none: of tool and object as they
     were seen, of the axis along which the clearance is kept, of where an arm that goes to and fro was just
-    then, and of an object that was last elsewhere than expected.
+    then, and of what is in doubt.
 
     Half of that way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its
     encoder. No motion ends any of that.
     """
-    unsteady = ((0.5 * track.residual_motion) ** 2 + track.contradiction**2) * np.eye(3)
+    unsteady = swing_variance(track) * np.eye(3) + doubt_covariance(look, settings)
     return np.asarray(error_covariance(look, settings.clearance_m, settings) + unsteady)
 
 
-def _odometry_covariance(d: Array, look: Look, settings: LocalErrorModelSettings) -> Array:
+def swing_variance(track: LocalTrack) -> float:
+    """Variance m² of where a tool is that went to and fro by ``residual_motion`` at the track's end."""
+    return (0.5 * track.residual_motion) ** 2
+
+
+def odometry_covariance(d: Array, look: Look, settings: LocalErrorModelSettings) -> Array:
     """Covariance (3, 3) m² of a way ``d`` (3,) as odometry measures it.
 
     ``odometry_scale_std`` is of a camera whose offset is found; by one that is not, odometry's lengths are

@@ -18,8 +18,9 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import VisualServoingSettings
 from vision_pc.core.ports import Arm, Eyes, ReferenceStream, Report, Watch
+from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.se3 import Array, transform
-from vision_pc.core.types import WatchSample
+from vision_pc.core.types import FrameObservation, WatchSample
 
 _PULL_M = 0.01  # [D] from where the pictures see the object: three times the servo's floor
 _LOST_S = 0.5  # [D] five pictures: held since the second, then stopped
@@ -28,20 +29,20 @@ _RESTS = 5  # so often at rest outside what is accepted: not slow, but loose
 _FEED_S = 0.03  # [D] between references; the controller slows down after 76 ms without one
 _HOLD_S = 0.2  # [D] two pictures without a view: the controller refuses what was seen more than 250 ms ago
 _STILL_M = 0.0004  # [M] a look's noise is 0.1 mm
-_SETTLE_MOST = 1.75  # [D] times ``settle_m``, that every rest outside widens: 1.4 mm
+_SIGMAS_95 = 1.96
 _SETTLE_DEPTH_M = 0.005  # [D]
 
 
 class Convergence(NamedTuple):
     """How looking and moving ended.
 
-    ``error_m`` (3,) mean error in camera axes over the last pictures, ``spread_m`` (3,) their standard
-    deviation; ``time_s`` from the first picture to the last; ``pictures`` showed tool and object,
-    ``missed`` did not.
+    ``end``: the error as the last pictures have it, with what they share of error, and the probability that
+    |e_x| and |e_y| are within ``limit_m``. ``time_s`` from the first picture to the last; ``pictures`` showed
+    tool and object, ``missed`` did not.
     """
 
-    error_m: Array
-    spread_m: Array
+    end: ExpectedEnd
+    limit_m: float
     time_s: float
     pictures: int
     missed: int
@@ -61,6 +62,7 @@ class ServoingLaw:
         self._target: Array | None = None
         self._gap_m = 0.0
         self._pulls = 0
+        self._newest: FrameObservation | None = None
         self.nearest_m = math.inf  # at rest, worse of |x| and |y|; inf before the first rest
         self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
@@ -88,7 +90,7 @@ class ServoingLaw:
             self._target = measured
         elif np.linalg.norm(left) > s.near_m:
             self._target = self._target + _shorten(s.gain * (measured - self._target), s.step_m)
-        self.newest = c_delta
+        self.newest, self._newest = c_delta, sample.observation
         self._errors.append(c_delta)
         self._left.append(left)
         self._measured.append(measured)
@@ -118,11 +120,33 @@ class ServoingLaw:
         """Whether the last pictures agree that the tool is there, and that it rests."""
         if not self._still:
             return False
-        s, mean = self._settings, np.abs(self.errors.mean(axis=0))
-        # Each correction ends somewhere in the backlash. Where that is wider than what is wanted, waiting for
-        # a better end could go on for ever.
-        inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, _SETTLE_MOST)
-        return bool(max(mean[:2]) <= inside_m and mean[2] <= _SETTLE_DEPTH_M)
+        mean = np.abs(self.errors.mean(axis=0))
+        return bool(max(mean[:2]) <= self.inside_m and mean[2] <= _SETTLE_DEPTH_M)
+
+    @property
+    def inside_m(self) -> float:
+        """What the mean error at rest may be.
+
+        Each correction ends somewhere in the backlash. Where that is wider than ``settle_m``, waiting for a
+        better end could go on for ever: after a rest outside, an end is good that is within ``wanted_m`` in
+        19 of 20 cases by what the pictures know of their error.
+        """
+        s = self._settings
+        if self._pulls == 0:
+            return s.settle_m
+        std_m = math.sqrt(float(np.diag(self.covariance)[:2].max()))
+        return max(s.settle_m, s.wanted_m - _SIGMAS_95 * std_m)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) m² of the mean of ``errors``: their noise goes down, what they share stays."""
+        count, seen = max(len(self._errors), 1), self._newest
+        if seen is None or seen.cov_CM is None or seen.cov_CO is None:
+            return np.atleast_2d(np.cov(self.errors.T)) / count if count > 1 else np.zeros((3, 3))
+        assert seen.bias_CM is not None
+        assert seen.bias_CO is not None
+        shared = seen.bias_CM + seen.bias_CO
+        return np.asarray(shared + (seen.cov_CM + seen.cov_CO - shared) / count)[:3, :3]
 
     @property
     def _still(self) -> bool:
@@ -164,12 +188,12 @@ async def servo_to_object(
             )
         async with arm.streaming() as stream:
             await _follow_object(stream, detections, law, first, start, report)
-    errors = law.errors
-    report(1.0, f"settled: error {1e3 * errors.mean(axis=0)[0]:+.1f} {1e3 * errors.mean(axis=0)[1]:+.1f} mm")
+    limit_m = max(settings.settle_m, settings.wanted_m)
+    end = expected_end(law.errors.mean(axis=0), law.covariance, limit_m)
+    x, y = 1e3 * end.mean_m[:2]
+    report(1.0, f"settled: error {x:+.1f} {y:+.1f} mm, {end.inside:.2f} to be within {1e3 * limit_m:g} mm")
     time_s = 1e-9 * (detections.newest_ns - first.time_ns)
-    return Convergence(
-        errors.mean(axis=0), errors.std(axis=0), time_s, detections.pictures, detections.missed
-    )
+    return Convergence(end, limit_m, time_s, detections.pictures, detections.missed)
 
 
 async def _follow_object(
@@ -210,7 +234,7 @@ def _unsettled(law: ServoingLaw, left: float, settings: VisualServoingSettings) 
     off = f"looking and moving: {1e3 * left:.1f} mm off after {settings.timeout_s:g} s"
     if law.rests < _RESTS:
         return MeasurementFailed("measurement.not_settled", off)
-    most_mm = 1e3 * settings.settle_m * _SETTLE_MOST
+    most_mm = 1e3 * law.inside_m
     return MeasurementFailed(
         "measurement.play_too_wide",
         f"{off}; at rest {law.rests} times, {1e3 * law.nearest_m:.1f} mm off at best, "

@@ -2,58 +2,14 @@
 
 import numpy as np
 
-from vision_pc.core import se3
-from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets import circle_hole, row_matching
 from vision_pc.core.targets.circle_hole import dark_spots
 from vision_pc.core.targets.place_on_plane import bias_of, on_plane, plane_at
 from vision_pc.core.targets.round_edge import DarkSpot
 from vision_pc.core.targets.sighting import Click, Sighted, refuse_hidden, region
 from vision_pc.core.targets.surroundings import refuse_contradicted
-from vision_pc.core.targets.target import TargetObservation, TargetRefused, frame_on, with_roll
+from vision_pc.core.targets.target import TargetObservation, TargetRefused, with_roll
 from vision_pc.core.types import CameraCalibration
-
-
-def exchanged(sighted: Sighted) -> Sighted:
-    """The same with left and right exchanged; poses are then in the right eye's frame R."""
-    camera = sighted.camera
-    X_CR = camera.right.X_CE
-    turned = camera._replace(
-        left=camera.right._replace(X_CE=se3.identity()),
-        right=camera.left._replace(X_CE=se3.inverse(X_CR)),
-    )
-    offset = sighted.observation.offset
-    if offset is not None:
-        believed = sighted.believed
-        turned = turned._replace(
-            left=believed.right._replace(X_CE=se3.identity()),
-            right=believed.left._replace(X_CE=se3.inverse(believed.right.X_CE)),
-        )
-    pair = sighted.pair._replace(left=sighted.pair.right, right=sighted.pair.left)
-    X_CM = sighted.observation.X_CM
-    told = sighted.observation._replace(
-        X_CM=None if X_CM is None else se3.inverse(X_CR) @ X_CM,
-        errors=None,
-        offset=offset and offset._replace(x_px=0.0, y_px=0.0),
-    )
-    return sighted._replace(pair=pair, camera=turned, observation=told)
-
-
-def told_in_left(seen: TargetObservation, camera: CameraCalibration) -> TargetObservation:
-    """What was measured with the eyes ``exchanged`` (in R), in C."""
-    X_CR = camera.right.X_CE
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = X_CR[:3, :3]
-    p = se3.apply(X_CR, seen.X_CO[None, :3, 3])[0]
-    X = frame_on(p, X_CR[:3, :3] @ seen.X_CO[:3, 2])
-    moved = intrinsics.project(camera.left, p[None])[0] - seen.outline.mean(axis=0)
-    return seen._replace(
-        X_CO=X,
-        covariance=turn @ seen.covariance @ turn.T,
-        bias=turn @ seen.bias @ turn.T,
-        outline=seen.outline + moved,
-    )
-
 
 _CLICK_REACH = 70  # px about a click in which a hole may reach it
 _INSIDE = 1.4  # radii from a hole's middle at which a click still means it
@@ -62,8 +18,6 @@ _SECOND_CLICK = 0.06  # share of the depth by which a click in the other eye may
 
 def at_click(sighted: Sighted, click: Click) -> TargetObservation:
     """The target that is meant by a click. Raises TargetRefused with its cause."""
-    if click.eye == "right":
-        return told_in_left(at_click(exchanged(sighted), click._replace(eye="left")), sighted.camera)
     pair, camera = sighted.pair, sighted.believed
     row_matching.refuse_outside(click.pixel, camera)
     refuse_hidden(sighted, camera, (click.pixel,), 0)

@@ -79,8 +79,8 @@ def match(
         best = found.scores[0] if len(found.scores) else 0.0
         bare = contrast < 3.0 * _TEXTURE
         cause, why = ("low_texture", ", and little to see") if bare else ("no_match", "")
-        told = f"correlation {best:.2f}, at least {_LEAST} is wanted"
-        raise TargetRefused(f"target.{cause}", f"target: nothing looks like it in the other eye{why}: {told}")
+        words = f"target: nothing looks like it in the other eye{why}: correlation {best:.2f}"
+        raise TargetRefused(f"target.{cause}", f"{words}, at least {_LEAST} is wanted")
     alike = found.scores > found.scores[0] - _MARGIN
     if alike.sum() > 1:
         raise _ambiguous(

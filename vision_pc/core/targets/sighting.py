@@ -34,9 +34,8 @@ class Sighted(NamedTuple):
 
 
 class Click(NamedTuple):
-    """A place in one eye's picture, px; ``other``: the same in the other eye, where one is not enough."""
+    """A place in the left eye's picture, px; ``other``: the same in the right one, where that is wanted."""
 
-    eye: Literal["left", "right"]
     pixel: Array
     kind: Literal["auto", "plane", "hole"] = "auto"
     diameter_mm: float | None = None

@@ -2,9 +2,8 @@
 
 import csv
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,6 +16,9 @@ from vision_pc.shell.cameras.source import CameraSource
 
 TABLE = "captures.csv"
 _COLUMNS = ["frame_id", "capture_ns", "left", "right"]
+_GREY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+_EXIF_WITHIN = 1 << 16  # [S] bytes: in JPEG it fits into one segment before the picture
+_TIFF = (b"II*\0", b"MM\0*")  # [S] TIFF 6.0, section 2
 
 
 class RecordedPair(NamedTuple):
@@ -29,7 +31,7 @@ class RecordedPair(NamedTuple):
 
 
 class PairRecorder:
-    """Writes pairs into a directory that ``recorded_pairs`` and ``DirectoryCamera`` read."""
+    """Writes pairs into a directory that ``recorded`` and ``DirectoryCamera`` read."""
 
     def __init__(self, directory: Path) -> None:
         directory.mkdir(parents=True, exist_ok=True)
@@ -78,28 +80,53 @@ def recorded(directory: Path) -> list[RecordedPair]:
     return sorted(entries, key=lambda entry: entry.capture_ns)
 
 
-def recorded_pairs(directory: Path) -> Iterator[StereoPair]:
-    """The pairs of a recording, one after another, with the times of the recording."""
-    for entry in recorded(directory):
-        yield StereoPair(read_grey(entry.left), read_grey(entry.right), entry.capture_ns, entry.frame_id)
+def recorded_pair(entry: RecordedPair) -> StereoPair:
+    """The pictures of one row of the table. Raises ConfigurationError as ``read_grey``, or where they differ
+    in size.
+    """
+    left, right = read_grey(entry.left), read_grey(entry.right)
+    if left.shape != right.shape:
+        why = f"{entry.left} and {entry.right} differ in size"
+        raise ConfigurationError("configuration.bad_recording", why)
+    return StereoPair(left, right, entry.capture_ns, entry.frame_id)
 
 
 def read_grey(path: Path) -> Image:
-    """The picture in ``path``, (height, width) uint8; a transparent one lies on white. Raises
-    ConfigurationError when there is none.
+    """The picture in ``path``, (height, width) uint8; a transparent one lies on white. Of more bits than
+    eight, the upper eight of as many (8, 10, … 16) as its greatest value has, wherever a container has more.
+    Raises ConfigurationError when there is none, or one that its file wants to be shown turned, or several.
     """
     try:
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise ConfigurationError("configuration.bad_recording", f"{path}: {error.strerror}") from error
-    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    if picture is None:
-        raise ConfigurationError("configuration.bad_recording", f"{path}: no picture")
+    picture = cv2.imdecode(data, _GREY) if data.size else None
+    if picture is None or picture.dtype not in (np.uint8, np.uint16):
+        why = "no picture, or one cut short" if data.size else "no picture: the file is empty"
+        raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
+    _refuse_turned_or_several(path, data, picture)
+    if picture.dtype == np.uint16:
+        bits = int(picture.max()).bit_length()
+        picture = np.right_shift(picture.astype(np.uint16), max(bits + bits % 2 - 8, 0)).astype(np.uint8)
     layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if _may_be_transparent(data) else None
     if layers is None or layers.ndim < 3 or layers.shape[2] != 4:
         return np.asarray(picture, dtype=np.uint8)
     share = layers[..., 3] / (255.0 if layers.dtype == np.uint8 else 65535.0)
     return np.asarray(np.round(share * picture + (1.0 - share) * 255.0), dtype=np.uint8)
+
+
+def _refuse_turned_or_several(path: Path, data: NDArray[np.uint8], picture: NDArray[Any]) -> None:
+    """Calibrations are of the sensor's rows, which EXIF may turn; of several pages the first was read."""
+    exif = b"exif" in data[:_EXIF_WITHIN].tobytes().lower()
+    pages = cv2.imcount(str(path)) if data[:4].tobytes() in _TIFF else 1
+    seen = cv2.imdecode(data, _GREY | cv2.IMREAD_IGNORE_ORIENTATION) if exif else None
+    if seen is not None and not np.array_equal(seen, picture):
+        why = "EXIF has it shown turned: save it as the sensor saw it, without EXIF"
+    elif pages > 1:
+        why = f"{pages} pictures in one file: save each one by itself"
+    else:
+        return
+    raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
 
 
 def _may_be_transparent(png: NDArray[np.uint8]) -> bool:

@@ -3,13 +3,15 @@ they were taken. Every command that reads pictures goes this way.
 """
 
 import bisect
+import re
 from collections.abc import Sequence
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 from foundation.foreign_text import read_text
+from foundation.numbers_as_written import written_number
 from protocol.errors import ConfigurationError
 from vision_pc.shell.cameras.capture_times import order_of_name, times_of, times_of_names
 
@@ -34,7 +36,11 @@ def pictures_in(directory: Path) -> list[Path]:
     """
     if not directory.is_dir():
         raise ConfigurationError("configuration.bad_sequence", f"{directory}: no such directory")
-    found = [path for path in directory.iterdir() if path.suffix.lower() in _PICTURES]
+    found = [
+        path
+        for path in directory.iterdir()
+        if path.suffix.lower() in _PICTURES and not path.name.startswith("._")  # what macOS puts beside files
+    ]
     if not found:
         why = f"{directory}: 0 pictures, at least 1 is wanted"
         raise ConfigurationError("configuration.bad_sequence", why)
@@ -59,6 +65,9 @@ def matched_pictures(lefts: list[Path], rights: list[Path]) -> tuple[list[tuple[
     """Indices (left, right) of the pictures that belong together, as ``eye_files`` says, and what was left
     out, in words. Raises ConfigurationError where nothing tells which do.
     """
+    if not {path.resolve() for path in lefts}.isdisjoint(path.resolve() for path in rights):
+        why = f"{lefts[0].parent}: one folder for both eyes: a picture would be paired with itself"
+        raise ConfigurationError("configuration.bad_sequence", why)
     stamps = times_of_names(lefts), times_of_names(rights)
     if stamps[0] is not None and stamps[1] is not None:
         return _by_times(lefts, rights, stamps[0].times_ns, stamps[1].times_ns)
@@ -101,15 +110,22 @@ def _nearest(at_ns: int, times_ns: Sequence[int]) -> int:
 
 
 def _by_names(lefts: list[Path], rights: list[Path]) -> tuple[list[tuple[int, int]], list[str]]:
-    """Indices of pictures with equal names, or of all in their order where no two are equal."""
-    place = {_without_eye(path.stem): j for j, path in enumerate(rights)}
-    chosen = [(i, place[key]) for i, path in enumerate(lefts) if (key := _without_eye(path.stem)) in place]
-    if chosen:
-        return chosen, _left_out(lefts, rights, chosen)
-    if len(lefts) != len(rights):
-        folders = lefts[0].parent, rights[0].parent
-        counts = f"{folders[0]}: {len(lefts)} pictures, but {len(rights)} in {folders[1]}"
-        why = f"{counts}, and no two names are equal"
+    """Indices of pictures with equal names, or equal numbers in their names, or of all in their order where
+    no two are equal and all numbers differ by the same. Raises ConfigurationError for others.
+    """
+    numbers = _numbers(lefts), _numbers(rights)
+    for keys in ([_without_eye(path.stem) for path in eye] for eye in (lefts, rights)), numbers:
+        left_keys, right_keys = keys
+        place = {key: j for j, key in enumerate(right_keys)}
+        chosen = [(i, place[key]) for i, key in enumerate(left_keys) if key in place]
+        if chosen and len(place) == len(rights) and len(set(left_keys)) == len(lefts):
+            return chosen, _left_out(lefts, rights, chosen)
+    steps = [
+        [b - a for pair in pairwise(eye) for a, b in zip(*pair, strict=False)] for eye in numbers if any(eye)
+    ]
+    if len(lefts) != len(rights) or (len(steps) == 2 and steps[0] != steps[1]):
+        counts = f"{lefts[0].parent}: {len(lefts)} pictures, but {len(rights)} in {rights[0].parent}"
+        why = f"{counts}, and neither names nor numbers in them tell which belong together"
         raise ConfigurationError("configuration.bad_sequence", why)
     note = f"no two names are equal: {lefts[0].name} and {rights[0].name} are taken for the first pair"
     return [(k, k) for k in range(len(lefts))], [note]
@@ -121,6 +137,15 @@ def _without_eye(stem: str) -> str:
     for eye in ("left", "right"):
         plain = plain.replace(eye, "")
     return plain
+
+
+def _numbers(paths: list[Path]) -> list[tuple[int, ...]]:
+    """The numbers in each name that are not the same in all of one eye (cam0_000, frame000_l1)."""
+    found = [[int(word) for word in re.findall(r"[0-9]+", path.stem)] for path in paths]
+    if len({len(words) for words in found}) > 1:
+        return [tuple(words) for words in found]
+    varying = [len(set(column)) > 1 or len(paths) == 1 for column in zip(*found, strict=True)]
+    return [tuple(word for word, kept in zip(words, varying, strict=True) if kept) for words in found]
 
 
 def _left_out(lefts: list[Path], rights: list[Path], chosen: list[tuple[int, int]]) -> list[str]:
@@ -141,15 +166,34 @@ def _times(left: Path, lefts: list[Path], rate_hz: float) -> tuple[list[int], st
     for table in (left / "times.txt", left.parent / "times.txt"):
         if table.is_file():
             listed = times_of(_values(table))
-            if len(listed.times_ns) < len(lefts):
+            for line, (before, after) in enumerate(pairwise(listed.times_ns), 2):
+                if after <= before:
+                    why = f"{table}: time {line} is no later than the one above it: have they lost digits?"
+                    raise ConfigurationError("configuration.bad_sequence", why)
+            source = f"times: {listed.unit}, from {table}"
+            if len(listed.times_ns) == len(lefts):
+                return listed.times_ns, source
+            lines = _lines_of_names(lefts, len(listed.times_ns))
+            if lines is None:
                 why = f"{table}: {len(listed.times_ns)} times for {len(lefts)} pictures"
                 raise ConfigurationError("configuration.bad_sequence", why)
-            return listed.times_ns[: len(lefts)], f"times: {listed.unit}, from {table}"
+            source += f", by the numbers in the names: {len(listed.times_ns)} times, {len(lefts)} pictures"
+            return [listed.times_ns[line] for line in lines], source
     stamps = times_of_names(lefts)
     if stamps is not None:
         return stamps.times_ns, f"times: {stamps.unit}, from the pictures' names"
     source = f"times: {rate_hz:g} pairs a second are taken, as names hold no time and there is no times.txt"
     return [round(index * 1e9 / rate_hz) for index in range(len(lefts))], source
+
+
+def _lines_of_names(names: list[Path], count: int) -> list[int] | None:
+    """Which of ``count`` lines each name's number is, from 0, or from 1 where only that fits; else None."""
+    if not all(name.stem.isascii() and name.stem.isdigit() for name in names):
+        return None
+    numbers = [int(name.stem) for name in names]
+    first = int(max(numbers) == count)
+    known = len(set(numbers)) == len(names) and first <= min(numbers) and max(numbers) < count + first
+    return [number - first for number in numbers] if known else None
 
 
 def _values(table: Path) -> list[Decimal]:
@@ -162,12 +206,10 @@ def _values(table: Path) -> list[Decimal]:
     for number, line in enumerate(lines, 1):
         content = line.partition("#")[0].strip()
         try:
-            value = Decimal(content) if content else None
-        except InvalidOperation:
-            value = Decimal("nan")
-        if value is not None and not value.is_finite():
+            if content:
+                written_number(content)
+                values.append(Decimal(content.replace("\u2212", "-")))
+        except ValueError as error:
             why = f"{table}: line {number} is {content[:40]!r}, one time a line is wanted"
-            raise ConfigurationError("configuration.bad_sequence", why)
-        if value is not None:
-            values.append(value)
+            raise ConfigurationError("configuration.bad_sequence", why) from error
     return values

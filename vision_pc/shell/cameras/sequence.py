@@ -13,11 +13,11 @@ from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.odometry.shared_offset import FoundOffset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose, StereoPair
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.directory import RecordedPair, recorded_pair
 from vision_pc.shell.cameras.picture_files import EyeFiles, eye_files
 from vision_pc.shell.cameras.sequence_calibration import kitti_eyes, recorded_camera
 
-ToolAt = Callable[[StereoPair], Array | None]
+UNREADABLE = "configuration.bad_recording"
 
 
 class PairRecord(NamedTuple):
@@ -81,25 +81,32 @@ class SequenceResult(NamedTuple):
         return found
 
 
-def read_pairs(found: EyeFiles) -> Iterator[StereoPair]:
-    """The pairs of two directories. Raises ConfigurationError for what is no picture, or of another size."""
+def read_pairs(found: EyeFiles) -> Iterator[StereoPair | PairRecord]:
+    """The pairs of two directories; the record of a lost one for what is no picture, or of another size than
+    the first pair. Raises ConfigurationError where no pair can be read.
+    """
+    shape, error = None, None
     for index, ((one, other), at_ns) in enumerate(zip(found.files, found.times_ns, strict=True)):
-        pair = StereoPair(read_grey(one), read_grey(other), at_ns, index)
-        if pair.left.shape != pair.right.shape:
-            raise ConfigurationError("configuration.bad_sequence", f"{one} and {other} differ in size")
-        yield pair
+        try:
+            pair = recorded_pair(RecordedPair(index, at_ns, one, other))
+            if pair.left.shape != (shape := shape or pair.left.shape):
+                why = f"{one} is of another size than the first picture"
+                raise ConfigurationError(UNREADABLE, why)
+            yield pair
+        except ConfigurationError as bad:
+            error = error or bad
+            yield PairRecord(index, at_ns, None, None, UNREADABLE, str(bad))
+    if shape is None and error is not None:
+        raise error
 
 
 class Recorded(NamedTuple):
-    """Two directories of pictures, their calibration, pairs a second where no times are, and where the tool
-    of the arm was, as in ``follow_pairs``.
-    """
+    """Two directories of pictures, their calibration, and pairs a second where no times are."""
 
     left: Path
     right: Path
     calibration: Path
     rate_hz: float = 10.0
-    tool_at: ToolAt = lambda pair: None
 
     def files(self) -> EyeFiles:
         """The pairs of pictures, their times, and what was left out. Raises ConfigurationError."""
@@ -114,12 +121,14 @@ def follow(
     """
     files = recorded.files()
     eyes = kitti_eyes(recorded.left, recorded.right)
-    known = recorded_camera(recorded.calibration, next(read_pairs(files)), eyes)
+    first = next(pair for pair in read_pairs(files) if isinstance(pair, StereoPair))
+    known = recorded_camera(recorded.calibration, first, eyes)
     result = follow_pairs(
-        lambda: map(known.rectified, read_pairs(files)),
+        lambda: (
+            known.rectified(pair) if isinstance(pair, StereoPair) else pair for pair in read_pairs(files)
+        ),
         lambda pair: SegmentedOdometry(known.camera, config.odometry_of_recordings),
         report,
-        recorded.tool_at,
     )
     if result.lost == len(result.records):
         last = result.records[-1]
@@ -128,52 +137,50 @@ def follow(
             "measurement.odometry_lost",
             f"{recorded.left}: all {len(result.records)} pairs lost, last cause {last.loss}{figure}",
         )
-    return result._replace(notes=(*files.notes, *known.notes))
+    unread = {record.detail or "": None for record in result.records if record.loss == UNREADABLE}
+    return result._replace(notes=(*files.notes, *known.notes, *unread))
 
 
 def follow_pairs(
-    pairs: Callable[[], Iterable[StereoPair]],
+    pairs: Callable[[], Iterable[StereoPair | PairRecord]],
     begin: Callable[[StereoPair], SegmentedOdometry],
     report: Callable[[PairRecord], None] = lambda record: None,
-    tool_at: ToolAt = lambda pair: None,
 ) -> SequenceResult:
-    """What odometry, begun with the first of ``pairs``, finds in all of them; poses that later pairs show to
-    be of two motions are lost after all. Where disparities turn out to be off, all pairs are followed again.
-    ``tool_at``: X_BT, where the state of the arm that carries the camera had its tool; None: not told.
+    """What odometry, begun with the first of ``pairs``, finds in all of them. Where disparities turn out to
+    be off, pairs are followed anew from the first on. A record stands for a pair that could not be read.
     """
-    result, offset = _one_pass(pairs(), begin, None, report, tool_at)
-    return result if offset is None else _one_pass(pairs(), begin, offset, report, tool_at)[0]
+    result, offset = _one_pass(pairs(), begin, None, report)
+    return result if offset is None else _one_pass(pairs(), begin, offset, report)[0]
 
 
 def _one_pass(
-    pairs: Iterable[StereoPair],
+    pairs: Iterable[StereoPair | PairRecord],
     begin: Callable[[StereoPair], SegmentedOdometry],
     known: FoundOffset | None,
     report: Callable[[PairRecord], None],
-    tool_at: ToolAt,
 ) -> tuple[SequenceResult, FoundOffset | None]:
     """What is found with the offset ``known``, and the offset that was learnt."""
     records: list[PairRecord] = []
     odometry: SegmentedOdometry | None = None
     for pair in pairs:
+        if isinstance(pair, PairRecord):
+            records.append(pair)
+            report(pair)
+            continue
         if odometry is None:
             odometry = begin(pair)
             if known is not None:
                 odometry.correct(known)
-        placed = odometry.process(pair, tool_at(pair))
+        placed = odometry.process(pair)
         segment, pose = (None, None) if placed is None else placed
         loss = odometry.last_loss if pose is None else None
         detail = odometry.last_detail if pose is None else None
         records.append(PairRecord(pair.frame_id, pair.capture_ns, segment, pose, loss, detail))
         report(records[-1])
+        if odometry.offset.is_settled and odometry.offset_found is not None:
+            break
     if odometry is None:
         return SequenceResult([], [], 0), None
-    records = [
-        record._replace(segment=None, pose=None, loss="two_motions")
-        if record.segment is not None and odometry.is_withdrawn(record.segment, record.capture_ns)
-        else record
-        for record in records
-    ]
     return SequenceResult(records, odometry.joints, odometry.keyframes, known), odometry.offset_found
 
 

@@ -5,20 +5,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from foundation.configuration import load, read_yaml
-from foundation.foreign_text import read_text
+from foundation.configuration import load, read_yaml, validated
 from protocol.errors import ConfigurationError
 from vision_pc.config.camera import CameraSettings, EyeSettings, PinholePair
 from vision_pc.config.camera_files import reading
+from vision_pc.config.camera_files.parts import OFF_CENTRE, Entries
 from vision_pc.config.vision import RectifiedPairSettings
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.rectification import Rectifier, rectified_camera
 from vision_pc.core.types import CameraCalibration, StereoPair
 
 _KITTI_FOLDER = re.compile(r"/image_0?([0-3])(?:/data)?$")
-_OFF_CENTRE = 0.15  # of width or height: rectification moves principal points by a tenth at most
+_LEAST_BASELINE_M = 0.005
 
 
 class RecordedCamera(NamedTuple):
@@ -107,11 +105,11 @@ def _check_size(path: Path, found: RectifiedPairSettings, width: int, height: in
         for name, value, centre, size in zip(
             ("cx_px", "cy_px"), (found.cx_px, found.cy_px), middle, (width, height), strict=True
         ):
-            if abs(value - centre) > _OFF_CENTRE * size:
+            if abs(value - centre) > OFF_CENTRE * size:
                 raise ConfigurationError(
                     "configuration.wrong_size",
                     f"{path}: {name} {value:g} is {abs(value - centre):.0f} px from the middle of pictures of"
-                    f" {width} x {height} ({_OFF_CENTRE * size:.0f} px at most): it is for another size, or"
+                    f" {width} x {height} ({OFF_CENTRE * size:.0f} px at most): it is for another size, or"
                     " lacks width_px and height_px",
                 )
 
@@ -119,20 +117,23 @@ def _check_size(path: Path, found: RectifiedPairSettings, width: int, height: in
 def _kitti(path: Path, eyes: tuple[int, int]) -> RectifiedPairSettings:
     """From the projection matrices of two ``eyes``: P1 = K [I | (−fx·b, 0, 0)], the first one's alike."""
     names = [f"P{eye}" for eye in eyes]
-    try:
-        rows = dict(line.split(":", 1) for line in read_text(path).splitlines() if ":" in line)
-        left, right = (np.array(rows[name].split(), dtype=np.float64).reshape(3, 4) for name in names)
-    except OSError as error:
-        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
-    except (KeyError, ValueError) as error:
-        raise ConfigurationError(
-            "configuration.bad_sequence", f"{path}: rows {names[0]}: and {names[1]}: are wanted ({error})"
-        ) from error
-    return RectifiedPairSettings(
-        fx_px=float(left[0, 0]),
-        fy_px=float(left[1, 1]),
-        cx_px=float(left[0, 2]),
-        cy_px=float(left[1, 2]),
-        right_cx_px=float(right[0, 2]),
-        baseline_m=float(left[0, 3] - right[0, 3]) / float(left[0, 0]),
-    )
+    rows: dict[str, list[str]] = {}
+    file = Entries(path, rows)
+    for line in reading.text_of(path).splitlines():
+        name, colon, words = line.partition(":")
+        if colon and name.strip() in rows:
+            raise file.refused(name.strip(), words.strip(), "is written twice")
+        rows[name.strip()] = words.split()
+    expected = f"rows {names[0]}: and {names[1]}: are wanted"
+    found = [file.entry(expected, name) for name in names]
+    left, right = (file.matrix(*named, (3, 4)) for named in zip(names, found, strict=True))
+    fx, shift = float(left[0, 0]), float(right[0, 3] - left[0, 3])
+    if fx <= 0.0 or shift >= 0.0:
+        wanted = "-fx·b is wanted, below the left eye's; are the eyes exchanged?"
+        raise file.refused(f"{names[1]}[3]", float(right[0, 3]), wanted)
+    if -shift / fx <= _LEAST_BASELINE_M:
+        wanted = f"gives {-shift / fx:.4f} m; -fx·b is wanted there ({fx * shift:.0f} for {-shift:g} m)"
+        raise file.refused(f"{names[1]}[3]", float(right[0, 3]), wanted)
+    pinholes = {"fx_px": fx, "fy_px": left[1, 1], "cx_px": left[0, 2], "cy_px": left[1, 2]}
+    values = {**pinholes, "right_cx_px": right[0, 2], "baseline_m": -shift / fx}
+    return validated(RectifiedPairSettings, {name: float(value) for name, value in values.items()}, str(path))

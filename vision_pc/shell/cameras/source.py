@@ -12,7 +12,7 @@ from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception.rectification import Rectifier, refuse_size
 from vision_pc.core.pixel_sensor import FrozenPictures
 from vision_pc.core.types import Image, StereoPair
-from vision_pc.shell.camera_eyes import MonotonicClock
+from vision_pc.shell.camera_eyes import ProcessClock
 
 _JOIN_S = 1.0
 
@@ -20,18 +20,19 @@ _JOIN_S = 1.0
 class CameraSource(CameraFeed[StereoPair]):
     """Pairs from a camera, rectified where ``calibration`` is a raw camera's.
 
-    The thread in ``_produce`` blocks; everything else belongs to the event loop.
+    The thread in ``_produce`` blocks; everything else belongs to the event loop. ``there``: it was once.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
         """Compute the maps of a raw camera. Raises ConfigurationError for a lens that folds over."""
-        super().__init__(settings, MonotonicClock())
-        told = settings.calibration
-        self._rectified = Rectifier(told) if isinstance(told, StereoCalibration) else None
+        super().__init__(settings, ProcessClock())
+        known = settings.calibration
+        self._rectified = Rectifier(known) if isinstance(known, StereoCalibration) else None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._produce, name=f"camera-{settings.source}", daemon=True)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._pictures = FrozenPictures(settings.frozen_frames)
+        self.there = asyncio.Event()
 
     async def start(self) -> None:
         """Begin to connect; pairs come as soon as the camera is there."""
@@ -62,6 +63,7 @@ class CameraSource(CameraFeed[StereoPair]):
     def _is_there(self) -> None:
         """From the thread: a connection stands."""
         self._call(self.connected)
+        self._call(self.there.set)
 
     def _is_gone(self, cause: str, detail: str = "") -> None:
         """From the thread: the connection ended or could not be made."""

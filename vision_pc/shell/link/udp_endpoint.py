@@ -5,8 +5,9 @@ import contextlib
 import secrets
 import socket
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
+from foundation.clock import Cancellable, current, followed
 from foundation.secret_source import read_key
 from protocol.client_session import ReferenceClient
 from protocol.errors import LinkLost
@@ -24,6 +25,7 @@ from vision_pc.application.ports import Clock, FrameSource, Log
 from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
 from vision_pc.config.vision import LinkSettings
 from vision_pc.core.types import StereoPair
+from vision_pc.shell.stops.door_process import DoorProcess
 
 _TRIED_S = 1.0  # for so long an address is tried
 _Address = tuple[int, Any]  # family, and what connects to it
@@ -134,38 +136,22 @@ class LinkJournal:
             self._log.write("datagram_dropped", "warning", cause=event.cause, detail=event.detail)
 
 
-class Beside(Protocol):
-    """Who speaks beside the link, from the same socket: the door of the REST API."""
-
-    def attach(self, link: ReferenceLink) -> None:
-        """It is this link that it speaks beside."""
-
-    def opened(self, sock: socket.socket) -> None:
-        """The link has this socket from now on."""
-
-    def sent(self, link: ReferenceLink) -> None:
-        """The link has sent."""
-
-    def hear(self) -> None:
-        """Take over what it has sent."""
-
-
 class UdpEndpoint(asyncio.DatagramProtocol):
     """A socket to the controller at ``settings.host`` with the ``link`` over it.
 
-    ``arm_hash``: of the arm that the controller must drive, or ``ANY_ARM``. While there is no session the
-    name is asked again, and its addresses are tried in turn.
+    ``arm_hash``: of the arm that the controller must drive, or ``ANY_ARM``; ``beside``: who sends stops from
+    the same socket. While there is no session the name is asked again, its addresses are tried in turn.
     """
 
     def __init__(
-        self, settings: LinkSettings, arm_hash: int, log: Log, clock: Clock, beside: Beside | None = None
+        self, settings: LinkSettings, arm_hash: int, log: Log, clock: Clock, beside: DoorProcess | None = None
     ) -> None:
         self._host, self._port = settings.host, settings.port
         self._clock = clock
         self._beside = beside
         self._transport: asyncio.DatagramTransport | None = None
         self._address: _Address | None = None
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: Cancellable | None = None
         self._finding: asyncio.Task[None] | None = None
         session = ReferenceClient(
             secrets.randbits(64), arm_hash, settings.state_period_ms, key=read_key(settings.link_key)
@@ -183,15 +169,19 @@ class UdpEndpoint(asyncio.DatagramProtocol):
         for each in await self._addresses():
             if await self._open(each):
                 break
-        self.link.connect()
+        if followed():  # with the first tick: then all are there
+            current().call_at(self._clock.now_ns, self.link.connect)
+        else:
+            self.link.connect()
         self._finding = asyncio.create_task(self._keep_finding())
 
     async def close(self) -> None:
         """Tell the controller and close the socket."""
         self.link.disconnect()
-        for ending in (self._timer, self._finding):
-            if ending is not None:
-                ending.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._finding is not None:
+            self._finding.cancel()
         self._close_socket()
 
     def flush(self) -> None:
@@ -207,8 +197,7 @@ class UdpEndpoint(asyncio.DatagramProtocol):
             self._timer = None
         deadline_ns = self.link.next_deadline_ns()
         if deadline_ns is not None:
-            delay_s = max((deadline_ns - now_ns) / 1e9, 0.0)
-            self._timer = asyncio.get_running_loop().call_later(delay_s, self._tick)
+            self._timer = current().call_at(deadline_ns, self._tick)
 
     def _tick(self) -> None:
         self._timer = None

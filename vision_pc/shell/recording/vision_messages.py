@@ -37,7 +37,7 @@ class OdometryStart(NamedTuple):
     capture_ns: int
 
 
-class ToldWithFrame(NamedTuple):
+class GivenWithFrame(NamedTuple):
     """What odometry is told beside a frame: whether where the tool marker is, and the arm's state X_BT."""
 
     tool_given: bool
@@ -50,7 +50,7 @@ class TrackedFrame(NamedTuple):
     odometry: int
     capture_ns: int
     frame_id: int
-    told: ToldWithFrame
+    given: GivenWithFrame
     found: OdometryPose | str
 
 
@@ -214,7 +214,7 @@ def start_bytes(made: OdometryStart) -> bytes:
 def tracked_bytes(made: TrackedFrame) -> bytes:
     """longreach.Odometry: the pose, or why it is lost."""
     stamp = {name: getattr(made, name) for name in ("odometry", "frame_id", "capture_ns")}
-    stamp |= made.told._asdict()
+    stamp |= made.given._asdict()
     pose = made.found
     if isinstance(pose, str):
         return _filled(OdometryMessage, **stamp, digest=digest(pose), lost=pose)
@@ -297,6 +297,6 @@ def _flat(parts: Sequence[Any]) -> list[float]:
 
 def _filled(message: Any, **values: Any) -> bytes:
     """A message with what is there; matrices row by row."""
-    told = {name: value for name, value in values.items() if value is not None}
-    arrays = {name: value.ravel().tolist() for name, value in told.items() if isinstance(value, np.ndarray)}
-    return bytes(message(**{**told, **arrays}).SerializeToString())
+    given = {name: value for name, value in values.items() if value is not None}
+    arrays = {name: value.ravel().tolist() for name, value in given.items() if isinstance(value, np.ndarray)}
+    return bytes(message(**{**given, **arrays}).SerializeToString())

@@ -3,7 +3,6 @@
 Nothing is encoded, compressed or written before a call returns: what is put is kept by reference.
 """
 
-import json
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,22 +18,23 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from foundation.event_log import Level
-from foundation.recording.mcap_file import Entries, Topic
+from foundation.recording.mcap_file import Topic
 from foundation.recording.messages import (
     EventMessage,
     RecordingThread,
-    RecordSink,
     event_bytes,
     format_of,
     log_line,
 )
+from foundation.recording.recorder import OpenSink, ServiceRecorder
 from protocol.clock_offset import OffsetEstimate
 from protocol.reference_messages import Command, Request, StreamedPose
 from protocol.session_events import ClientEvent, StateReceived
 from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
 from vision_pc.config.vision import RecordingSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
-from vision_pc.core.perception.watch import Sensor
+from vision_pc.core.perception.watch import Odometry, Sensor
+from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
     CameraErrors,
     FrameObservation,
@@ -43,17 +43,14 @@ from vision_pc.core.types import (
     StereoPair,
     WatchSample,
 )
-from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_pictures as pictures
-from vision_pc.shell.recording.recorded_ports import RecordedSensor
 
 FILE = "vision.mcap"
 EYES, SIMULATED = "eyes", "simulated"  # in the metadata `session`, where there were no pictures
 FRAME, OBSERVATION, LOOK = "/vision/frame", "/vision/observation", "/vision/look"
 ODOMETRY_START, ODOMETRY, ERRORS = "/vision/odometry_start", "/vision/odometry", "/vision/camera_errors"
 REFERENCE, CLOCK, EVENT, LOG = "/vision/reference", "/vision/clock", "/vision/event", "/vision/log"
-READ, SAMPLE = "/vision/read", "/vision/sample"
 FRAMES, TRACK, PATH = "/vision/tf", "/vision/track", "/vision/path"
 ANNOTATIONS = "/camera/left/annotations"
 CALIBRATIONS = ("/camera/left/calibration", "/camera/right/calibration")
@@ -84,8 +81,6 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
         Topic(ERRORS, format_of(own.CameraErrorsMessage), own.fitted_bytes),
         Topic(LOOK, format_of(own.LookMessage), own.look_bytes),
         Topic(REFERENCE, format_of(own.ReferenceMessage), lambda said: own.reference_bytes(*said)),
-        Topic(READ, format_of(reads.ReadMessage), reads.read_bytes),
-        Topic(SAMPLE, format_of(reads.SampleMessage), reads.sample_bytes),
         Topic(CLOCK, format_of(own.ClockMessage), own.clock_bytes),
         Topic(EVENT, format_of(EventMessage), event_bytes),
         Topic(LOG, format_of(LogMessage), lambda line: log_line(*line)),
@@ -98,11 +93,59 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
     )
 
 
-class VisionRecorder:
-    """Implements ``MeasurementRecord``, ``ReadRecord``, ``SightRecorder`` and a listener of the link.
+class RecordedSensor:
+    """Implements ``vision_pc.core.perception.watch.Sensor`` over another one."""
 
-    ``failed`` is called once when nothing more can be written, with the reason. ``missed``: frames of which
-    neither checksum nor pixels were kept, because too many waited. ``looks`` were told.
+    def __init__(self, sensor: Sensor[StereoPair], record: "VisionRecorder") -> None:
+        self._sensor = sensor
+        self._record = record
+
+    def observe(self, frame: StereoPair, previous: FrameObservation | None, /) -> FrameObservation:
+        """What the sensor sees."""
+        found = self._sensor.observe(frame, previous)
+        self._record.observed(frame, previous, found)
+        return found
+
+    def odometry(self, previous: FrameObservation | None, /) -> "RecordedOdometry":
+        """The sensor's odometry, recorded too."""
+        return RecordedOdometry(
+            self._sensor.odometry(previous), self._record, self._record.odometry_begun(previous)
+        )
+
+    def errors(self, samples: Sequence[WatchSample], /) -> CameraErrors | None:
+        """What the sensor makes of the samples."""
+        found = self._sensor.errors(samples)
+        self._record.fitted(samples, found)
+        return found
+
+
+class RecordedOdometry:
+    """Implements ``vision_pc.core.perception.watch.Odometry`` over another one, the ``number``-th."""
+
+    def __init__(self, odometry: Odometry[StereoPair], record: "VisionRecorder", number: int) -> None:
+        self._odometry = odometry
+        self._record = record
+        self._number = number
+
+    @property
+    def last_loss(self) -> str | None:
+        """Why the last frame was lost."""
+        return self._odometry.last_loss
+
+    def process(
+        self, frame: StereoPair, X_CM: Array | None = None, X_BT: Array | None = None, /
+    ) -> OdometryPose | None:
+        """What the odometry makes of the frame."""
+        found = self._odometry.process(frame, X_CM, X_BT)
+        given = own.GivenWithFrame(X_CM is not None, X_BT)
+        self._record.tracked(self._number, frame, given, found or self._odometry.last_loss or "lost")
+        return found
+
+
+class VisionRecorder(ServiceRecorder):
+    """Implements ``SightRecorder`` and a listener of the link.
+
+    ``missed``: frames of which neither checksum nor pixels were kept, because too many waited.
     Measurements may be told by one thread while looks and references are told by another.
     """
 
@@ -113,17 +156,15 @@ class VisionRecorder:
         run: Mapping[str, Any],
         session: Mapping[str, str],
         now_ns: Callable[[], int],
-        made: Callable[[Path, Sequence[Topic], Entries], RecordSink] = RecordingThread,
+        made: OpenSink = RecordingThread,
     ) -> None:
-        """Create ``path``; ``run`` and ``session`` are metadata. Raises OSError when it cannot be written."""
-        every = topics(config.recording)
-        self._numbers = {topic.name: number for number, topic in enumerate(every)}
+        """Create ``path``; ``run`` and ``session`` are metadata. Raises ConfigurationError when it cannot be
+        written.
+        """
         self._frames_put = self._frames_taken = 0
-        entries = {"run": {"configuration": json.dumps(run)}, "session": dict(session)}
-        self.sink = made(path, [self._counted_topic(topic) for topic in every], entries)
-        self.missed = self.looks = 0
-        self.failed: Callable[[str], object] = str
-        self._told = False
+        every = [self._counted_topic(topic) for topic in topics(config.recording)]
+        super().__init__(path, every, run, session, made)
+        self.missed = 0
         self._now_ns = now_ns
         self._settings = config.recording
         self._camera: tuple[bytes, bytes] | None = pictures.calibrations(calibration(config.camera))
@@ -160,11 +201,11 @@ class VisionRecorder:
         return self._odometries
 
     def tracked(
-        self, odometry: int, pair: StereoPair, told: own.ToldWithFrame, found: OdometryPose | str
+        self, odometry: int, pair: StereoPair, given: own.GivenWithFrame, found: OdometryPose | str
     ) -> None:
         """Record where odometry finds the camera, or why it does not."""
         self._keep_frame(pair)
-        made = own.TrackedFrame(odometry, pair.capture_ns, pair.frame_id, told, found)
+        made = own.TrackedFrame(odometry, pair.capture_ns, pair.frame_id, given, found)
         self._put(ODOMETRY, made, pair.capture_ns)
         if isinstance(found, OdometryPose):
             self._put(TRACK, found, pair.capture_ns)
@@ -178,19 +219,9 @@ class VisionRecorder:
         """Record a look."""
         numbers = tuple(self._number_of(each)[0] for each in observations)
         made = own.CombinedLook(look, tuple(-1 if number is None else number for number in numbers))
-        self.looks += 1
         self._put(LOOK, made, look.time_ns, wanted=True)
 
-    # ToldWithFrame by what programs reach arm and eyes through.
-    def read(self, read: reads.Read) -> None:
-        """Record an answer that a program got."""
-        self._put(READ, read, self._now_ns(), wanted=True)
-
-    def sampled(self, made: reads.NumberedSample) -> None:
-        """Record a sample of a watch that a program may see."""
-        self._put(SAMPLE, made, made.sample.time_ns, wanted=True)
-
-    # ToldWithFrame by the link and by the log.
+    # GivenWithFrame by the link and by the log.
     def listen_to(self, link: ReferenceLink) -> None:
         """Record the references that go out over ``link``, and how the clocks stand."""
         self._link = link
@@ -215,10 +246,6 @@ class VisionRecorder:
     def counts(self) -> dict[str, int]:
         """Messages written and dropped, and frames left out."""
         return {"written": self.sink.written, "dropped": self.sink.dropped, "frames_missed": self.missed}
-
-    def close(self) -> None:
-        """Write what waits, and close the file."""
-        self.sink.close()
 
     def _reference(self, number: int, request: Request | StreamedPose) -> None:
         now_ns = self._now_ns()
@@ -285,7 +312,4 @@ class VisionRecorder:
         return topic._replace(encode=encode)
 
     def _put(self, topic: str, message: Any, stamp_ns: int, *, wanted: bool = False) -> None:
-        if self.sink.failure and not self._told:
-            self._told = True
-            self.failed(f"{self.sink.path}: {self.sink.failure}")
-        self.sink.put(self._numbers[topic], message, self._now_ns(), stamp_ns, wanted=wanted)
+        self.put(topic, message, self._now_ns(), stamp_ns, wanted=wanted)

@@ -5,6 +5,7 @@ import json
 import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Sequence
+from functools import partial
 from http import HTTPStatus
 from importlib.resources import files
 from typing import Any
@@ -17,14 +18,15 @@ from foundation.rest.files import add_docs
 from foundation.rest.problems import MEDIA_TYPE, problem
 from foundation.rest.server import install_problems, respond
 from protocol.errors import RequestRefused
-from protocol.faults import CommandCode
+from protocol.faults import CommandCode, GroupState, Reason, refusal
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice
-from vision_pc.application.console.overview import Overview
-from vision_pc.application.hand_eye_programs import HAND_EYE
+from vision_pc.application.console.overview import Overview, lasting
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.application.results import JSON, calibration_json, look_json, seen_json
+from vision_pc.application.results import JSON, calibration_json, doubt_json, look_json, seen_json
+from vision_pc.shell.machine_clock import MachineClock
+from vision_pc.shell.rest.clock_routes import add_clock, clock_json, stands_words, while_requested
 from vision_pc.shell.rest.console.routes import Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.metrics import add_metrics
@@ -92,42 +94,41 @@ def create_app(
     operations: Operations,
     programs: Sequence[Program[Any, Any]] = PROGRAMS,
     emulator_face: str = "",
+    machine: MachineClock | None = None,
 ) -> FastAPI:
-    """The API over one application; guided hand-eye calibration is there when the application has it.
+    """The API over one application.
 
-    ``emulator_face``: an address that the console may ask for what no service knows. Raises
-    ConfigurationError when two programs have one name.
+    ``emulator_face``: an address that the console may ask for what no service knows; ``machine``: its clock.
+    Raises ConfigurationError when two programs have one name.
     """
+    machine = machine or MachineClock()
     app = FastAPI(
         title="Longreach vision PC",
         version="1",
         description=DESCRIPTION,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
-        dependencies=[Depends(asked_lately(STOPS))],
+        dependencies=[Depends(asked_lately(STOPS)), Depends(while_requested(machine, STOPS))],
         openapi_url=None,
         docs_url=None,
         redoc_url=None,
     )
-
-    def advised(cause: str) -> str:
-        return advice(cause, bool(application.overload()))
-
-    install_problems(app, STATUS_OF_CAUSE, advise=advised)
+    install_problems(app, STATUS_OF_CAUSE, advise=advice)
     add_docs(app)
-    add_console(app, Console(application, operations, Overview(application.links)), emulator_face)
-    _add_state(app, application, operations)
+    titles = {program.name: program.title for program in programs}
+    seen = Overview(application.links), titles, partial(clock_json, machine)
+    add_console(app, Console(application, operations, *seen), emulator_face)
+    _add_state(app, application, operations, machine)
+    add_clock(app, machine)
     add_metrics(app, application)
     _add_looks(app, application)
     _add_commands(app, application, operations)
     add_targets(app, application, operations)
-    table = by_name(programs).values()
-    _add_table(app, tuple(table))
-    add_programs(app, application, operations, (program for program in table if program.tag != HAND_EYE))
+    table = tuple(by_name(programs).values())
+    _add_table(app, table)
+    add_programs(app, application, operations, table)
     add_resources(app, operations)
-    if application.hand_eye is not None:
-        add_session(app, operations, application.hand_eye)
-        add_programs(app, application, operations, (program for program in table if program.tag == HAND_EYE))
-    _add_document(app, programs is PROGRAMS and application.hand_eye is not None)
+    add_session(app, operations, application)
+    _add_document(app, programs is PROGRAMS)
     add_unknown(app, [program.name for program in table])
     return app
 
@@ -143,39 +144,39 @@ def _add_document(app: FastAPI, whole: bool) -> None:
         return Response(made[0], media_type="application/json")
 
 
-def _add_state(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
+def _add_state(
+    app: FastAPI, application: VisionApplication, operations: Operations, machine: MachineClock
+) -> None:
     @app.get("/health", tags=["state"], summary="Whether controller and camera answer")
     async def health(request: Request) -> Response:
-        """200 when both answer, else a 503 problem that says which does not."""
+        """200 when both answer, else a 503 problem that says which has crashed, and which does not answer."""
         controller, camera = application.controller, application.camera.status()
         parts = {
             "controller": controller.connected,
             "camera": camera.connected,
             "recording": application.log.healthy,
         }
-        overload = application.overload()
-        if all(parts.values()):
-            return JSONResponse({"status": "ok", "overload": overload or None} | parts)
-        missing = ", ".join(name for name, answers in parts.items() if not answers)
-        status = HTTPStatus.SERVICE_UNAVAILABLE
-        trouble = link_view(controller).trouble
-        why = f"; {trouble.cause}: {trouble.detail}" if trouble else ""
+        why = [incident.detail for incident in lasting(application)] + stands_words(machine)
+        if not why and all(parts.values()):
+            return JSONResponse({"status": "ok"} | parts)
+        if missing := ", ".join(name for name, answers in parts.items() if not answers):
+            why.append(f"not answering: {missing}")
+        if trouble := link_view(controller).trouble:
+            why.append(f"{trouble.cause}: {trouble.detail}")
         if camera.trouble is not None:
-            why += f"; {camera.trouble}" + (f": {camera.detail}" if camera.detail else "")
-        detail = f"not answering: {missing}{why}" + (f"; {overload}" if overload else "")
-        told = {"overload": overload or None} | parts
-        return respond(problem(status, "link.degraded", detail, instance=request.url.path) | told)
+            why.append(camera.trouble + (f": {camera.detail}" if camera.detail else ""))
+        status, detail = HTTPStatus.SERVICE_UNAVAILABLE, "; ".join(why)
+        return respond(problem(status, "link.degraded", detail, instance=request.url.path) | parts)
 
     @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
     async def state() -> JSON:
         """Group state, fault, joints, poses, timing, links, and what has been calibrated."""
         return state_json(application) | {
-            "overload": application.overload() or None,
             "incidents": [incident._asdict() for incident in application.incidents()],
+            "clock": clock_json(machine),
             "operation": operations.current.id if operations.current else None,
-            "calibration": None
-            if application.calibration is None
-            else calibration_json(application.calibration),
+            "calibration": application.calibration and calibration_json(application.calibration),
+            "doubt": doubt_json(application.doubts.doubt),
         }
 
     @app.get("/link", tags=["state"], summary="The reference link in numbers, on both sides")
@@ -207,6 +208,13 @@ def _add_looks(app: FastAPI, application: VisionApplication) -> None:
         """404 until something was looked at."""
         return look_json(application.latest_look)
 
+    @app.delete("/doubt", tags=["looks"], summary="End the doubt: a person knows that nothing moves")
+    async def end_doubt() -> JSON:
+        """Answers with the doubt that has ended, null where there was none."""
+        before = application.doubts.doubt
+        application.trust("person")
+        return {"doubt": doubt_json(before)}
+
     @app.get("/camera/markers", tags=["looks"], summary="The markers in the newest picture")
     async def markers() -> JSON:
         """Markers, tool and object, with or without a controller; nothing is averaged."""
@@ -230,7 +238,10 @@ def _add_looks(app: FastAPI, application: VisionApplication) -> None:
 def _add_commands(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     async def commanded(code: CommandCode) -> JSON:
         answer = await application.controller.command(code)
-        await application.controller.next_state()
+        state = await application.controller.next_state()
+        if code is CommandCode.ENABLE and state.group_state is GroupState.ERROR_STOP:  # it broke down at once
+            why = f"by {state.fault.name.lower().replace('_', ' ')}"
+            raise refusal("enable", Reason.ERROR_LATCHED, 0.0, 0.0, why)
         return {"accepted": True, "reason": answer.reason.name.lower()} | state_json(application)
 
     async def ending(code: CommandCode) -> JSON:

@@ -1,13 +1,11 @@
 """What the vision PC counts of itself, of its link and of the controller, and what Prometheus calls that."""
 
-import contextlib
 from dataclasses import fields
 
 from fastapi import FastAPI, Response
 
 from foundation.live.wire import MEDIA_TYPE, Figure, counters, exposition
 from protocol.channel import LinkStatistics
-from protocol.errors import RequestRefused
 from vision_pc.application.application import VisionApplication
 from vision_pc.shell.rest.state_view import arm_json, link_view
 
@@ -46,6 +44,7 @@ FIGURES = (
     Figure("camera.rate_hz", "camera_frame_rate_hertz", "Pairs a second."),
     Figure("camera.frames", "camera_frames_total", "Pairs delivered."),
     Figure("camera.dropped", "camera_frames_dropped_total", "Pairs that were numbered and never came."),
+    Figure("camera.heard_at_s", "camera_newest_timestamp_seconds", "When the newest pair came, since 1970."),
     Figure("camera.reconnects", "camera_reconnects_total", "Connections after the first."),
     Figure("rest_refused", "rest_refused_total", "Requests refused, by cause.", label="cause"),
     Figure("recording.written", "recording_messages_total", "Messages in the recording."),
@@ -95,12 +94,12 @@ FIGURES = (
 )
 
 
-def told(application: VisionApplication) -> str:
+def metrics_text(application: VisionApplication) -> str:
     """Its text for Prometheus; without a controller what that tells is left out."""
     controller = application.controller
     figures = dict(application.figures()) | {"looks": application.looks}
-    with contextlib.suppress(RequestRefused):
-        verdict = application.latest_look.verdict
+    if application.newest_look is not None:
+        verdict = application.newest_look.verdict
         figures["look"] = {
             "error_m": dict(zip("xyz", verdict.error_m.tolist(), strict=True)),
             "std_m": dict(zip("xyz", verdict.std_m.tolist(), strict=True)),
@@ -120,4 +119,4 @@ def add_metrics(app: FastAPI, application: VisionApplication) -> None:
     @app.get("/metrics", include_in_schema=False)
     async def metrics() -> Response:
         """Always answered: without a controller its own figures are left out."""
-        return Response(told(application), media_type=MEDIA_TYPE)
+        return Response(metrics_text(application), media_type=MEDIA_TYPE)

@@ -46,7 +46,7 @@ class OperationState(StrEnum):
 
 @dataclass
 class Operation:
-    """One operation. ``revision`` counts its changes; ``notes`` are (progress, note) in order."""
+    """One operation. ``end`` is set with its end state."""
 
     kind: str
     request: JSON
@@ -54,34 +54,17 @@ class Operation:
     state: OperationState = OperationState.QUEUED
     progress: float = 0.0
     note: str = "queued"
-    notes: list[tuple[float, str]] = field(default_factory=list)
     created_at: float = field(default_factory=time.time)
     started_at: float | None = None
     ended_at: float | None = None
     result: JSON | None = None
     problem: JSON | None = None
-    revision: int = 0
-    _change: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
+    end: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
 
     def report(self, progress: float, note: str) -> None:
-        """Notes progress 0…1; without effect once ended, or where it is what was noted last."""
-        told = (min(max(progress, 0.0), 1.0), note)
-        if not self.state.ended and told != (self.progress, self.note):
-            self.progress, self.note = told
-            self.notes.append(told)
-            self.touch()
-
-    def touch(self) -> None:
-        """Wakes everybody who waits for a change."""
-        self.revision += 1
-        self._change.set()
-        self._change = asyncio.Event()
-
-    async def changed(self, seen: int) -> int:
-        """The revision, once it is beyond ``seen``."""
-        while self.revision <= seen:
-            await self._change.wait()
-        return self.revision
+        """Notes progress 0…1; without effect once ended."""
+        if not self.state.ended:
+            self.progress, self.note = min(max(progress, 0.0), 1.0), note
 
 
 class Operations:
@@ -179,7 +162,6 @@ class Operations:
     async def _run(self, operation: Operation, work: Work) -> None:
         try:
             operation.state, operation.started_at = OperationState.RUNNING, time.time()
-            operation.touch()
             result = await work(operation.report)
         except asyncio.CancelledError:
             await self._stop_arm(operation)
@@ -212,13 +194,11 @@ class Operations:
         *,
         result: JSON | None = None,
         problem: JSON | None = None,
-        note: str | None = None,
+        note: str = "",
     ) -> None:
         operation.state, operation.ended_at = state, time.time()
         operation.result, operation.problem = result, problem
-        if note is not None:
-            operation.note = note
-            operation.notes.append((operation.progress, note))
+        operation.note = note or operation.note
         self.current, self._task = None, None
         self._log.write(
             "operation_ended",
@@ -228,7 +208,7 @@ class Operations:
             result=result,
             problem=problem,
         )
-        operation.touch()
+        operation.end.set()
 
     def _forget_old(self) -> None:
         while len(self._all) > _REMEMBERED:

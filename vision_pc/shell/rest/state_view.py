@@ -1,36 +1,16 @@
 """The controller's state as the API shows it; units stand in the keys."""
 
 import math
-from dataclasses import asdict
 
 from pydantic import BaseModel, Field
 
+from protocol.channel import LinkStatistics
 from protocol.errors import LinkLost
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.ports import Controller
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.results import JSON, pose_json
 from vision_pc.core.se3 import from_pose
-
-
-class LinkCounters(BaseModel):
-    """Datagrams from the controller since this program started, each counted once under what became of it."""
-
-    received: int = Field(description="datagrams: intact, in order, fresh, and used")
-    lost: int = Field(description="datagrams: skipped numbers that have not come (late ones are taken off)")
-    longest_gap: int = Field(description="datagrams: most lost in a row")
-    duplicated: int = Field(description="datagrams: came before, in a link without authentication")
-    reordered: int = Field(description="datagrams: came after a newer one, or leapt too far ahead; not used")
-    stale: int = Field(description="datagrams: older than the link timeout when they were read")
-    refused: int = Field(description="datagrams: not of the written protocol (size, magic, CRC, range)")
-    foreign: int = Field(description="datagrams: of another session, source, minor version or direction")
-    not_authenticated: int = Field(description="datagrams: without a tag although a key is configured")
-    key_not_configured: int = Field(description="datagrams: with a tag although no key is configured")
-    unknown_key: int = Field(description="datagrams: signed with another key")
-    bad_tag: int = Field(description="datagrams: whose tag does not fit their content, session or direction")
-    replayed: int = Field(description="datagrams: came before, in an authenticated link")
-    too_old: int = Field(description="datagrams: behind the replay window of 64 numbers")
-    echoes_refused: int = Field(description="answers to heartbeats that were not used for the clock's offset")
 
 
 class ClockView(BaseModel):
@@ -65,13 +45,13 @@ class LinkView(BaseModel):
     )
     trouble: LinkTrouble | None = Field(description="none with a session")
     state_age_ms: float | None = Field(description="ms since the newest state; none without one")
-    datagrams: LinkCounters
+    datagrams: LinkStatistics = Field(description="each counted once, under what became of it")
     dropped: int = Field(description="datagrams that came and were not used, for any cause")
     clock: ClockView | None = Field(description="none before the first heartbeat's echo")
     controller: FarSide | None = Field(description="none without a session")
 
 
-def link_view(link: Controller) -> LinkView:
+def link_view(link: ReferenceLink) -> LinkView:
     """The link as it is now; never raises, for it is asked when something is wrong."""
     tally, clock = link.statistics, link.clock_offset
     trouble = None
@@ -86,7 +66,7 @@ def link_view(link: Controller) -> LinkView:
         tries_valves=link.tries_valves,
         trouble=trouble,
         state_age_ms=None if far is None else round(link.state_age_ns / 1e6, 3),
-        datagrams=LinkCounters(**asdict(tally)),
+        datagrams=tally,
         dropped=tally.dropped,
         clock=None
         if clock is None

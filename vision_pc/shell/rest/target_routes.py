@@ -48,8 +48,8 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
             kept = await camera.target_at(body.click(), body.frame_id)
         except TargetRefused as refused:
             candidates = [candidate_json(candidate) for candidate in refused.candidates]
-            told = {"instance": request.url.path, "candidates": candidates}
-            return respond(problem_of(refused) | told | {"advice": advice(refused.cause)})
+            details = {"instance": request.url.path, "candidates": candidates}
+            return respond(problem_of(refused) | details | {"advice": advice(refused.cause)})
         document = _target_view(application, kept)
         application.log.write("target_made", **document)
         return JSONResponse(document, HTTPStatus.CREATED, {"Location": f"/targets/{kept.id}"})

@@ -9,6 +9,7 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
+from foundation import clock
 from foundation.child_process import ended, started
 from foundation.rest.guard import Access
 from foundation.rest.problems import RefusalLog
@@ -53,6 +54,10 @@ class DoorProcess:
         with listener, theirs:
             self._process = started("vision_pc.shell.stops", pickle.dumps(given), inherited)
         os.close(memory)
+
+    def hold_clock(self, held: bool) -> None:
+        """Tell it that a person holds the clock, or lets it go."""
+        self._numbers.clock_held = held
 
     def attach(self, link: ReferenceLink) -> None:
         """Have it stop over ``link``. In the loop that the link lives in."""
@@ -99,6 +104,8 @@ class DoorProcess:
 
     def _on_heard(self, event: Submitted | Streamed | ClientEvent) -> None:
         assert self._link is not None
+        if not clock.is_wall():
+            self._numbers.time_ns = clock.now_ns()
         if isinstance(event, AcknowledgementReceived):
             self._numbers.answer(event.acknowledgement.command_id, event.acknowledgement.reason)
         elif isinstance(event, StateReceived):

@@ -8,7 +8,6 @@ import asyncio
 import contextlib
 import json
 import socket
-import time
 from collections.abc import Awaitable
 from http import HTTPStatus
 from typing import Any
@@ -48,11 +47,11 @@ class StopSender:
         self._next_sequence: int | None = None
         self._next_id = 0
         control.setblocking(False)
-        asyncio.get_running_loop().add_reader(control.fileno(), self._told)
+        asyncio.get_running_loop().add_reader(control.fileno(), self._hear)
 
     def begin(self, path: str) -> Awaitable[tuple[int, Refusal]] | None:
         """Send the stop at once; the answer. None without a session."""
-        self._told()
+        self._hear()
         if self._credentials is None or self._link is None:
             return None
         return self._answer(self._begun(CODES[path]), self._credentials)
@@ -77,7 +76,7 @@ class StopSender:
         if self._next_sequence is not None and is_newer(self._next_sequence, sequence):
             sequence = self._next_sequence
         channel = self._credentials.channel(self._key, sequence + _AHEAD)
-        datagram = channel.encoded(stop, time.monotonic_ns())
+        datagram = channel.encoded(stop, self._numbers.time_ns)
         self._next_sequence = channel.next_sequence
         with contextlib.suppress(OSError):  # nobody listens there: it is sent again
             self._link.send(datagram)
@@ -98,6 +97,8 @@ class StopSender:
                 stop = self._begun(CommandCode(stop.code))
             elif reason is not None:
                 return _as_response(problem_of(refusal(name, Reason(reason), 0.0, 0.0, ""), {}))
+            elif self._numbers.clock_held:
+                return HTTPStatus.ACCEPTED, {"accepted": True, "reason": "clock_held"}
             elif loop.time() > again_s:
                 again_s += _AGAIN_S
                 self._send(stop)
@@ -120,7 +121,7 @@ class StopSender:
             "emergency_latched": bool(flags & FLAG_EMERGENCY_LATCHED),
         }
 
-    def _told(self) -> None:
+    def _hear(self) -> None:
         """Read what the vision PC says: the session that is open, and the socket of the link."""
         while True:
             try:
@@ -161,9 +162,9 @@ class ToldRefusals(RefusalLog):
         self._new[kind] = refusal, self._new.get(kind, (refusal, 0))[1] + count
 
     def _pass_on(self) -> None:
-        told = [[refusal, source, count] for (_, source), (refusal, count) in self._new.items()]
+        refused = [[refusal, source, count] for (_, source), (refusal, count) in self._new.items()]
         self._new.clear()
-        self._sender.tell(refused=told)
+        self._sender.tell(refused=refused)
 
 
 def _as_response(document: dict[str, Any]) -> tuple[int, Refusal]:

@@ -2,14 +2,15 @@
 
 import mmap
 import os
+import time
 from typing import NamedTuple
 
 from foundation.rest.guard import Access
 from protocol.authentication import LinkKey
 
 MOST_BYTES = 1 << 16  # of a message between the two
-_SEQUENCE, _COMMAND_ID, _COUNT, _STATES, _GROUP, _FAULT, _FLAGS = range(7)
-_ANSWERS, _KEPT = 8, 32  # pairs of command id and reason, in a ring
+_SEQUENCE, _COMMAND_ID, _COUNT, _STATES, _GROUP, _FAULT, _FLAGS, _HELD, _TIME = range(9)
+_ANSWERS, _KEPT = 9, 32  # pairs of command id and reason, in a ring
 
 
 class SharedNumbers:
@@ -49,8 +50,29 @@ class SharedNumbers:
     @property
     def state(self) -> tuple[int, int, int, int]:
         """How many states were told; group state, fault and flags of the newest."""
-        told, group_state, fault, flags = self._numbers[_STATES : _FLAGS + 1]
-        return told, group_state, fault, flags
+        count, group_state, fault, flags = self._numbers[_STATES : _FLAGS + 1]
+        return count, group_state, fault, flags
+
+    @property
+    def time_ns(self) -> int:
+        """The time with which the link stamps: the newest that was told, or the machine's where none was.
+
+        By the plant's clock another stamp would make all that the vision PC sends after it seem old.
+        """
+        return self._numbers[_TIME] or time.monotonic_ns()
+
+    @time_ns.setter
+    def time_ns(self, now_ns: int) -> None:
+        self._numbers[_TIME] = now_ns
+
+    @property
+    def clock_held(self) -> bool:
+        """Whether a person holds the clock: what is sent is obeyed when it goes."""
+        return bool(self._numbers[_HELD])
+
+    @clock_held.setter
+    def clock_held(self, held: bool) -> None:
+        self._numbers[_HELD] = held
 
 
 def new_memory() -> int:

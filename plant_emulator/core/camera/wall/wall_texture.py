@@ -68,23 +68,7 @@ def _doubled(field: Field) -> Field:
     return np.ascontiguousarray(large[2 * margin : 2 * margin + size, 2 * margin : 2 * margin + size])
 
 
-def drilled(finest: Grey, wall: WallConfig) -> Grey:
-    """The finest level with bare patches and drill holes in it, smooth-rimmed; ``finest`` itself stays."""
-    result = _bared(finest, wall)
-    per_m, fraction = 1000.0 / wall.texel_mm, 8
-    for hole in wall.drill_holes:
-        if hole.depth_m > 0.0:
-            continue  # a tube is no paint: ``bores`` cuts it into the picture
-        column = SIZE / 2.0 + per_m * hole.centre_m[0] - 0.5
-        row = SIZE / 2.0 - per_m * hole.centre_m[1] - 0.5
-        centre = (round(column * (1 << fraction)), round(row * (1 << fraction)))
-        for growth, grey in ((1.25, hole.rim_grey), (1.0, hole.grey)):
-            radius = round(growth * hole.diameter_mm / 2.0 / wall.texel_mm * (1 << fraction))
-            cv2.circle(result, centre, radius, grey, cv2.FILLED, cv2.LINE_AA, fraction)
-    return result
-
-
-def _bared(finest: Grey, wall: WallConfig) -> Grey:
+def bared(finest: Grey, wall: WallConfig) -> Grey:
     """A copy whose bare patches have lost contrast, within a rim of an eighth of their radius."""
     result = finest.copy()
     per_m = 1000.0 / wall.texel_mm

@@ -17,9 +17,9 @@ from vision_pc.core.types import CameraErrors, FrameObservation, Look, StereoPai
 from vision_pc.shell.recording import vision_recorder as names
 from vision_pc.shell.recording.vision_messages import (
     CombinedLook,
+    GivenWithFrame,
     ObservationMessage,
     OdometryMessage,
-    ToldWithFrame,
 )
 from vision_pc.shell.recording.vision_recorder import WAITING_FRAMES, VisionRecorder
 
@@ -96,7 +96,7 @@ def test_a_frame_is_kept_once_and_no_more_than_some_wait() -> None:
     made, sink = recorder(images="raw")
     for number in range(1, WAITING_FRAMES + 4):
         made.observed(pair(number), None, seen(number))
-        made.tracked(1, pair(number), ToldWithFrame(False, np.eye(4) if number == 2 else None), "no_texture")
+        made.tracked(1, pair(number), GivenWithFrame(False, np.eye(4) if number == 2 else None), "no_texture")
     assert made.missed == 3
     taken = sink.take()
     assert len(taken[names.FRAME]) == len(taken[names.IMAGES[0]]) == WAITING_FRAMES

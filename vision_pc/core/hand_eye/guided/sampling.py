@@ -19,9 +19,8 @@ from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.guided.views import (
-    Refused,
     Surroundings,
-    foreseeably_refused,
+    beside_refused,
     keep_bounds,
     nominal_mount,
     obliquity,
@@ -33,6 +32,11 @@ from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 
+_MOUNT_STD_M, _MOUNT_STD_RAD = 0.02, math.radians(6.0)  # [E] of a tape measure, a component
+_ROBOT_STD_M, _ROBOT_STD_RAD = 0.001, math.radians(0.1)  # [E] by play and bending, between neighbouring poses
+_ROBOT_STRAIN = 0.006  # [M] a metre away: local error of the rigid model
+_ROBOT_TWIST = 0.004  # [E] a radian away: encoder zeros within 5 mrad act differently in distant poses
+_CORNER_STD_PX = 0.05  # [M] with what lens and rectification leave
 _ROUNDS = 20
 _DOUBT = 16.8  # χ² with six degrees of freedom beyond which (1 %) a sample counts less in planning
 _LOOSE = 1e-6  # information that keeps Z invertible before the first sample
@@ -70,18 +74,6 @@ class Proposal(NamedTuple):
     choices: int
 
 
-def arm_zero_covariance(X_TC: Array, wrist_to_tool: float, zero_std: float) -> Array:
-    """What the arm's own zeros add to the covariance (6, 6) of X_TC: one constant turn of the wrist.
-
-    A wrist whose encoders are off by a constant turns every X_BT by the same rotation about its centre,
-    ``wrist_to_tool`` (m) behind T on its z axis. The samples fit as well with the camera turned the other
-    way, so no sample shows it. ``zero_std`` (rad): of the turn about each axis.
-    """
-    lever = X_TC[:3, 3] - np.array([0.0, 0.0, -wrist_to_tool])
-    J = np.concatenate([-se3.hat(lever), np.eye(3)])
-    return np.asarray(zero_std**2 * J @ J.T)
-
-
 def believed(pairs: PosePairs, around: Surroundings, settings: GuidedSettings) -> Belief:
     """X and Z most probable after ``pairs`` (one at least) and the tape measure, with their information.
 
@@ -89,9 +81,7 @@ def believed(pairs: PosePairs, around: Surroundings, settings: GuidedSettings) -
     """
     prior = nominal_mount(settings)
     precision = np.zeros((12, 12))
-    precision[:6, :6] = np.diag(
-        [settings.mount_std_m**-2.0] * 3 + [math.radians(settings.mount_std_deg) ** -2.0] * 3
-    )
+    precision[:6, :6] = np.diag([_MOUNT_STD_M**-2.0] * 3 + [_MOUNT_STD_RAD**-2.0] * 3)
     X, Z = prior, pairs.H[0] @ prior @ pairs.P[0]
     weights = np.ones(len(pairs))
     for _ in range(_ROUNDS):
@@ -103,7 +93,7 @@ def believed(pairs: PosePairs, around: Surroundings, settings: GuidedSettings) -
         information = np.einsum("nki,nkl,nlj->ij", J, W, J) + precision
         gradient = np.einsum("nki,nkl,nl->i", J, W, r) + precision @ away
         step = np.linalg.solve(information + _LOOSE * np.eye(12), gradient)
-        X, Z = ml.moved(X, Z, -step, tied=False)
+        X, Z = ml.moved(X, Z, -step)
         squares = np.einsum("ni,nij,nj->n", r, np.linalg.inv(V), r)
         weights = 1.0 / (1.0 + np.maximum(squares - _DOUBT, 0.0) / _DOUBT)
         if float(step @ information @ step) < 1e-12:
@@ -116,18 +106,18 @@ def propose(
     around: Surroundings,
     settings: GuidedSettings,
     rng: np.random.Generator,
-    refused: Sequence[Refused] = (),
+    refused: Sequence[Array] = (),
     informative: bool = True,
 ) -> Proposal:
     """The best of ``settings.candidates`` random views, or with ``informative`` false any one that passes.
 
-    ``refused``: poses X_BT that the controller has refused, and why. Raises MeasurementFailed
+    ``refused``: poses X_BT that the controller has refused. Raises MeasurementFailed
     (``measurement.hand_eye.no_pose``) when no candidate passes the bounds.
     """
     X_CP = random_views(settings, around.camera, rng)
     X_BT = belief.Z @ stacks.inverse(X_CP) @ stacks.inverse(belief.X)
     passes = keep_bounds(X_BT, X_CP, around, settings)
-    passes &= ~foreseeably_refused(X_BT, around.X_BT_start, refused)
+    passes &= ~beside_refused(X_BT, refused)
     choices = np.flatnonzero(passes)
     if not len(choices):
         raise MeasurementFailed(
@@ -150,13 +140,6 @@ def propose(
         after.std,
         len(choices),
     )
-
-
-def information_of(
-    proposal: Proposal, belief: Belief, around: Surroundings, settings: GuidedSettings
-) -> Array:
-    """What a sample at ``proposal`` would add to the information (12, 12) about X and Z."""
-    return np.asarray(_information(proposal.X_BT[None], proposal.X_CP[None], belief, around, settings)[0])
 
 
 def _information(
@@ -182,12 +165,12 @@ def _covariances(
     start, camera = around.X_BT_start, around.camera
     turn = stacks.angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
     way = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
-    shift = settings.robot_std_m**2 + (settings.robot_strain * way) ** 2
-    twist = math.radians(settings.robot_std_deg) ** 2 + (settings.robot_twist * turn) ** 2
+    shift = _ROBOT_STD_M**2 + (_ROBOT_STRAIN * way) ** 2
+    twist = _ROBOT_STD_RAD**2 + (_ROBOT_TWIST * turn) ** 2
     L = ml.robot_levers(Equations(X_BT, X_CP, np.ones(len(X_BT))), X, Z)
     V = (L * np.stack([shift] * 3 + [twist] * 3, axis=1)[:, None, :]) @ np.swapaxes(L, -1, -2)
     z = np.linalg.norm(X_CP[:, :3, 3], axis=1)
-    across = settings.corner_std_px * z / camera.left.K[0, 0]
+    across = _CORNER_STD_PX * z / camera.left.K[0, 0]
     along = across * z / float(np.linalg.norm(camera.right.X_CE[:3, 3]))
     side = settings.marker_size_m
     stds = np.stack([across, across, along, along / side, along / side, across / side], axis=1)

@@ -1,8 +1,8 @@
-"""A guided session as data: samples taken, the proposed pose, what was refused; to and from its JSON form."""
+"""A guided session as data: samples taken, what was refused; to and from its JSON form."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +19,7 @@ from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
 
-FORMAT = "longreach-hand-eye-session/2"
-FORMAT_1 = "longreach-hand-eye-session/1"
-_WRIST_TO_TOOL_M = 0.35  # what a file of format 1 without the key meant
+FORMAT = "longreach-hand-eye-session/3"
 JSON = dict[str, Any]
 
 
@@ -30,7 +28,7 @@ class Sample(NamedTuple):
 
     ``corners_left`` (4, 2) px in the left picture; ``marker_id``; ``settled`` by the controller's flag (else
     the encoders alone said so); ``moved_mrad`` by the encoders while it was taken. ``q`` (6,) rad: the joints
-    by the encoders, None in files that have none.
+    by the encoders.
     """
 
     name: str
@@ -41,7 +39,7 @@ class Sample(NamedTuple):
     marker_id: int
     settled: bool
     moved_mrad: float
-    q: Array | None = None
+    q: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +47,7 @@ class Session:
     """A session at one instant; every change makes a new one.
 
     ``seed`` of the proposals; ``proposed`` how many were made; ``refused`` poses X_BT that the controller
-    refused, with its reason; ``proposal`` the one to go to, None once a sample was taken there. ``links``,
-    ``wrist_to_tool`` (m): the arm's nominal model when the session began (old files may have no links).
+    refused. ``links``: the arm's nominal model when the session began.
     """
 
     name: str
@@ -58,49 +55,34 @@ class Session:
     settings: GuidedSettings
     around: Surroundings
     links: Links
-    wrist_to_tool: float
     samples: tuple[Sample, ...] = ()
-    proposal: Proposal | None = None
     proposed: int = 0
     numbered: int = 0
-    refused: tuple[tuple[Array, str], ...] = field(default=())
+    refused: tuple[Array, ...] = ()
 
     @property
     def complete(self) -> bool:
         """Whether as many samples as wanted are there."""
         return len(self.samples) >= self.settings.poses
 
-    def sample(self, name: str) -> Sample:
-        """The sample of that name. Raises RequestRefused (``refused.hand_eye.unknown_sample``)."""
-        for sample in self.samples:
-            if sample.name == name:
-                return sample
-        known = ", ".join(s.name for s in self.samples) or "none"
-        raise RequestRefused("refused.hand_eye.unknown_sample", f"no sample '{name}'; there are: {known}")
-
     def without(self, name: str) -> "Session":
-        """The session without a sample."""
-        self.sample(name)
+        """The session without a sample. Raises RequestRefused (``refused.hand_eye.unknown_sample``)."""
+        names = [sample.name for sample in self.samples]
+        if name not in names:
+            known = ", ".join(names) or "none"
+            raise RequestRefused("refused.hand_eye.unknown_sample", f"no sample '{name}'; there are: {known}")
         return replace(self, samples=tuple(s for s in self.samples if s.name != name))
 
     def with_sample(self, sample: Sample) -> "Session":
-        """The session with a sample, in the place of one of the same name if there is one.
+        """The session with one more sample, under the next number: none is used twice.
 
         Raises RequestRefused (``refused.hand_eye.…``) when the sample cannot be believed beside the others.
         """
-        names = [s.name for s in self.samples]
-        if sample.name in names:
-            samples = tuple(sample if s.name == sample.name else s for s in self.samples)
-        else:
-            samples = (*self.samples, sample)
-        changed = replace(self, samples=samples, proposal=None)
+        number = self.numbered + 1
+        samples = (*self.samples, sample._replace(name=str(number)))
+        changed = replace(self, samples=samples, numbered=number)
         changed.pairs()
         return changed
-
-    def next_name(self) -> tuple["Session", str]:
-        """The session that has given out a number, and the number: none is used twice."""
-        changed = replace(self, numbered=self.numbered + 1)
-        return changed, str(changed.numbered)
 
     def pairs(self) -> PosePairs:
         """The samples as a solver takes them, with corners of the left eye."""
@@ -122,7 +104,7 @@ class Session:
 
 def to_json(session: Session) -> JSON:
     """The session's file: plain numbers, metres, radians and pixels; poses as rows of 4×4."""
-    around, p = session.around, session.proposal
+    around = session.around
     return {
         "format": FORMAT,
         "name": session.name,
@@ -130,10 +112,7 @@ def to_json(session: Session) -> JSON:
         "proposed": session.proposed,
         "numbered": session.numbered,
         "settings": session.settings.model_dump(mode="json"),
-        "arm": {
-            "links": [link._asdict() for link in session.links],
-            "wrist_to_tool_m": session.wrist_to_tool,
-        },
+        "arm": {"links": [link._asdict() for link in session.links]},
         "camera": {"K": around.camera.left.K.tolist(), "distortion": around.camera.left.distortion.tolist()},
         "start": {
             "X_BT": around.X_BT_start.tolist(),
@@ -141,8 +120,7 @@ def to_json(session: Session) -> JSON:
             "tool_in_camera_m": around.tool_C.tolist(),
         },
         "samples": [_sample_json(s) for s in session.samples],
-        "proposal": None if p is None else proposal_json(p),
-        "refused": [{"X_BT": X.tolist(), "reason": why} for X, why in session.refused],
+        "refused": [{"X_BT": X.tolist()} for X in session.refused],
     }
 
 
@@ -156,7 +134,7 @@ def _sample_json(s: Sample) -> JSON:
         "marker_id": s.marker_id,
         "settled": s.settled,
         "moved_mrad": s.moved_mrad,
-        "joints_rad": None if s.q is None else s.q.tolist(),
+        "joints_rad": s.q.tolist(),
     }
 
 
@@ -181,12 +159,12 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
     Raises RequestRefused: ``refused.hand_eye.format`` naming the key that is missing or wrong, and what
     ``pose_pairs`` refuses, naming the sample.
     """
-    if document.get("format") not in (FORMAT, FORMAT_1):
+    if document.get("format") != FORMAT:
         raise RequestRefused(
             "refused.hand_eye.format", f"format is {document.get('format')!r}, {FORMAT!r} is wanted"
         )
     try:
-        session = _session_from(_upgraded(document) if document["format"] == FORMAT_1 else document, camera)
+        session = _session_from(document, camera)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         what = f"key {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise RequestRefused(
@@ -203,38 +181,12 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
     return session
 
 
-def _upgraded(document: Mapping[str, Any]) -> JSON:
-    """A file of format 1 in the keys of format 2.
-
-    The nominal arm stood in the settings, in degrees; the pattern's frame was called T, as the tool's is.
-    """
-    settings = dict(document["settings"])
-    wrist_to_tool_m = settings.pop("wrist_to_tool_m", _WRIST_TO_TOOL_M)
-    links: list[JSON] = []
-    if settings.get("arm") is not None:
-        uncertainty = settings["arm"] = dict(settings["arm"])
-        links = [
-            {
-                "alpha": math.radians(link["alpha_deg"]),
-                "a": link["a_m"],
-                "theta_offset": math.radians(link["theta_offset_deg"]),
-                "d": link["d_m"],
-            }
-            for link in uncertainty.pop("links")
-        ]
-    proposal = document["proposal"]
-    if proposal is not None:
-        proposal = {**proposal, "X_CP": proposal["X_CT"]}
-    arm = {"links": links, "wrist_to_tool_m": wrist_to_tool_m}
-    return {**document, "settings": settings, "arm": arm, "proposal": proposal}
-
-
 def _link(values: Mapping[str, Any]) -> DhLink:
     return DhLink(*(float(_matrix(values[key], ())) for key in DhLink._fields))
 
 
 def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
-    start, p = document["start"], document["proposal"]
+    start = document["start"]
     hidden = tuple(tuple(_rectangle(r) for r in eye) for eye in start["hidden_px"])
     samples = tuple(
         Sample(
@@ -246,7 +198,7 @@ def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Ses
             int(s["marker_id"]),
             bool(s["settled"]),
             float(s["moved_mrad"]),
-            None if s.get("joints_rad") is None else _matrix(s["joints_rad"], (JOINTS,)),
+            _matrix(s["joints_rad"], (JOINTS,)),
         )
         for s in document["samples"]
     )
@@ -254,7 +206,7 @@ def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Ses
     if len(set(names)) != len(names):
         raise ValueError(f"sample names {names}: a name given twice")
     links = tuple(_link(link) for link in document["arm"]["links"])
-    if links and len(links) < JOINTS:
+    if len(links) < JOINTS:
         raise ValueError(f"arm of {len(links)} links")
     if len(hidden) != 2:
         raise ValueError(f"hidden_px of {len(hidden)} eyes")
@@ -266,25 +218,10 @@ def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Ses
             camera, _matrix(start["X_BT"], (4, 4)), hidden, _matrix(start["tool_in_camera_m"], (3,))
         ),
         links=links,
-        wrist_to_tool=float(_matrix(document["arm"]["wrist_to_tool_m"], ())),
         samples=samples,
-        proposal=None if p is None else _proposal(p),
         proposed=int(document["proposed"]),
         numbered=int(document["numbered"]),
-        refused=tuple((_matrix(r["X_BT"], (4, 4)), str(r["reason"])) for r in document["refused"]),
-    )
-
-
-def _proposal(p: Mapping[str, Any]) -> Proposal:
-    return Proposal(
-        _matrix(p["X_BT"], (4, 4)),
-        _matrix(p["X_CP"], (4, 4)),
-        _matrix(p["pixel"], (2,)),
-        float(p["distance_m"]),
-        math.radians(float(p["obliquity_deg"])),
-        float(p["gain_nats"]),
-        (1e-3 * float(p["std_after_mm"]), math.radians(float(p["std_after_deg"]))),
-        int(p["choices"]),
+        refused=tuple(_matrix(r["X_BT"], (4, 4)) for r in document["refused"]),
     )
 
 

@@ -90,7 +90,7 @@ def _fit_shared(
         information = slope.T @ slope + prior
         gradient = slope.T @ residual + np.concatenate([np.zeros(12), errors])
         step = np.linalg.solve(information, gradient)
-        X, Z = ml.moved(X, Z, -step[:12], tied=False)
+        X, Z = ml.moved(X, Z, -step[:12])
         errors = errors - step[12:]
         if float(step @ information @ step) < _CONVERGED:
             break

@@ -2,7 +2,7 @@
 
 The marker must be off the rim and off what the tool hides, in both pictures; the tool off the marker's plane;
 the hand within turn and reach of its start. Whether the arm can go there is the controller's to say: a
-refused pose is not proposed again, nor are its neighbours, nor what turns the hand the same way and as far.
+refused pose is not proposed again, nor are its neighbours.
 """
 
 import math
@@ -21,10 +21,8 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
 
 _NEIGHBOUR_RAD, _NEIGHBOUR_M = math.radians(12.0), 0.10
-_SHADOW_COS, _SHADOW_SHARE = math.cos(math.radians(20.0)), 0.95
 
 Flags = NDArray[np.bool_]
-Refused = tuple[Array, str]  # a pose, and the controller's reason
 
 
 class Surroundings(NamedTuple):
@@ -98,25 +96,14 @@ def _towards(rays: Array) -> Array:
     return stacks.exp_so3(axis * (angle / np.maximum(sine, 1e-12))[:, None])
 
 
-def foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Refused]) -> Flags:
-    """Which candidates (n,) the controller will likely refuse: beside a refused pose, or in its shadow.
-
-    Joint limits lie around the starting pose on all sides: what turns the hand the same way as a refused pose
-    and as far is beyond the same limit.
-    """
-    turns = stacks.log_so3(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ X_BT_start[:3, :3])
-    angles = np.linalg.norm(turns, axis=1)
-    doomed = np.zeros(len(X_BT), dtype=bool)
-    for pose, why in refused:
-        turn = stacks.log_so3(pose[:3, :3].T @ X_BT_start[:3, :3])
-        angle = float(np.linalg.norm(turn))
+def beside_refused(X_BT: Array, refused: Sequence[Array]) -> Flags:
+    """Which candidates (n,) are neighbours of a pose that the controller has refused."""
+    beside = np.zeros(len(X_BT), dtype=bool)
+    for pose in refused:
         apart = stacks.angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ pose[:3, :3])
-        beside = np.linalg.norm(X_BT[:, :3, 3] - pose[:3, 3], axis=1) < _NEIGHBOUR_M
-        doomed |= (apart < _NEIGHBOUR_RAD) & beside
-        if "joint limit" in why and angle > _NEIGHBOUR_RAD:
-            same_way = turns @ turn >= _SHADOW_COS * angle * angles
-            doomed |= same_way & (angles >= _SHADOW_SHARE * angle)
-    return doomed
+        moved = np.linalg.norm(X_BT[:, :3, 3] - pose[:3, 3], axis=1)
+        beside |= (apart < _NEIGHBOUR_RAD) & (moved < _NEIGHBOUR_M)
+    return beside
 
 
 def obliquity(X_CP: Array) -> Array:

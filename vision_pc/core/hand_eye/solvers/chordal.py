@@ -78,12 +78,12 @@ def solve(chordal: ChordalProblem) -> tuple[Array, Array, Certificate]:
     b = svec(chordal.M)
     q = np.zeros(len(constraints))
     q[-1] = -1.0  # maximise the multiplier of v_18² = 1: the lower bound
-    solution = sdp_solved(q, svec_constraints, b, [clarabel.PSDTriangleConeT(_SIZE)])
-    moments = smat(solution.dual, _SIZE)
+    multipliers, dual = sdp_solved(q, svec_constraints, b, [clarabel.PSDTriangleConeT(_SIZE)])
+    moments = smat(dual, _SIZE)
     R_X, R_Z = _rounded(moments)
     R_X, R_Z = _polished(chordal.M, R_X, R_Z)
     v = _stack_rotations(R_X, R_Z)
-    certificate = _certificate(chordal.M, v, solution.primal, constraints, moments)
+    certificate = _certificate(chordal.M, v, multipliers, constraints, moments)
     t = chordal.recover @ v
     return stacks.transform(R_X, t[:3]), stacks.transform(R_Z, t[3:]), certificate
 
@@ -181,14 +181,6 @@ def _handed(at: Indices, column: int, axis: int) -> Array:
 _ACCURACY = 1e-10
 
 
-class SdpSolution(NamedTuple):
-    """``primal`` x and ``dual`` z of the program above, and the optimal value."""
-
-    primal: Array
-    dual: Array
-    value: float
-
-
 def svec(S: Array) -> Array:
     """The upper triangle of a symmetric matrix, column by column, off-diagonals times √2 (an isometry)."""
     j, i = np.tril_indices(len(S))
@@ -204,8 +196,9 @@ def smat(s: Array, size: int) -> Array:
     return S
 
 
-def sdp_solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> SdpSolution:
-    """The optimum. Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver does not reach it.
+def sdp_solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> tuple[Array, Array]:
+    """The primal x and the dual z at the optimum. Raises MeasurementFailed (``measurement.hand_eye.sdp``)
+    when the solver does not reach it.
 
     One thread, so that reruns are bit-identical; no dynamic regularisation, which costs four digits here.
     """
@@ -226,4 +219,4 @@ def sdp_solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any])
     status = str(result.status)
     if status not in ("Solved", "AlmostSolved"):
         raise MeasurementFailed("measurement.hand_eye.sdp", f"the semidefinite program ended as {status}")
-    return SdpSolution(np.array(result.x), np.array(result.z), float(result.obj_val))
+    return np.array(result.x), np.array(result.z)

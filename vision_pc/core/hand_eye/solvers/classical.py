@@ -7,13 +7,13 @@ or an error.
 
 import math
 from collections.abc import Callable
-from enum import StrEnum
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers.motions import (
@@ -30,32 +30,20 @@ _TSAI_MOST = math.pi - _TSAI_LEAST
 _TSAI_SECOND_AXIS = math.radians(1.0)
 
 
-class Classical(StrEnum):
-    """Solvers from the literature, in order of publication."""
-
-    TSAI = "tsai"
-    PARK = "park"
-    HORAUD = "horaud"
-    ANDREFF = "andreff"
-    DANIILIDIS = "daniilidis"
-    LI = "li"
-    SHAH = "shah"
-
-
-_AX_XB = {
-    Classical.TSAI: cv2.CALIB_HAND_EYE_TSAI,
-    Classical.PARK: cv2.CALIB_HAND_EYE_PARK,
-    Classical.HORAUD: cv2.CALIB_HAND_EYE_HORAUD,
-    Classical.ANDREFF: cv2.CALIB_HAND_EYE_ANDREFF,
-    Classical.DANIILIDIS: cv2.CALIB_HAND_EYE_DANIILIDIS,
+AX_XB = {
+    Method.TSAI: cv2.CALIB_HAND_EYE_TSAI,
+    Method.PARK: cv2.CALIB_HAND_EYE_PARK,
+    Method.HORAUD: cv2.CALIB_HAND_EYE_HORAUD,
+    Method.ANDREFF: cv2.CALIB_HAND_EYE_ANDREFF,
+    Method.DANIILIDIS: cv2.CALIB_HAND_EYE_DANIILIDIS,
 }
-_AX_ZB = {
-    Classical.LI: cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI,
-    Classical.SHAH: cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH,
+AX_ZB = {
+    Method.LI: cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI,
+    Method.SHAH: cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH,
 }
 
 
-def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> SolverEstimate:
+def from_poses(pairs: PosePairs, motions: Motions, method: Method) -> SolverEstimate:
     """X, and Z where the method estimates it, by OpenCV.
 
     ``motions`` are those of all pairs of samples. Raises MeasurementFailed:
@@ -63,28 +51,28 @@ def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> SolverE
     reflection).
     """
     H, P = pairs.H, pairs.P
-    if method in _AX_ZB:
+    if method in AX_ZB:
         H_inverse = stacks.inverse(H)
         R_TZ, t_TZ, R_CX, t_CX = _called(
             cv2.calibrateRobotWorldHandEye,
             method,
             (P[:, :3, :3], P[:, :3, 3], H_inverse[:, :3, :3], H_inverse[:, :3, 3]),
-            _AX_ZB[method],
+            AX_ZB[method],
         )
         X, Z = (
             stacks.inverse(_proper(R_CX, t_CX, method)),
             stacks.inverse(_proper(R_TZ, t_TZ, method)),
         )
         return SolverEstimate(X, Z)
-    if method is Classical.TSAI and not _enough_for_opencv_tsai(motions):
+    if method is Method.TSAI and not _enough_for_opencv_tsai(motions):
         note = "OpenCV's Tsai would drop these rotations under 15 degrees; solved without its filter"
         return SolverEstimate(from_motions(motions, method), notes=(note,))
     poses = (H[:, :3, :3], H[:, :3, 3], P[:, :3, :3], P[:, :3, 3])
-    R, t = _called(cv2.calibrateHandEye, method, poses, _AX_XB[method])
+    R, t = _called(cv2.calibrateHandEye, method, poses, AX_XB[method])
     return SolverEstimate(_proper(R, t, method))
 
 
-def _called(function: Callable[..., Any], method: Classical, poses: tuple[Array, ...], flag: int) -> Any:
+def _called(function: Callable[..., Any], method: Method, poses: tuple[Array, ...], flag: int) -> Any:
     try:
         return function(*poses, method=flag)
     except cv2.error as error:
@@ -94,7 +82,7 @@ def _called(function: Callable[..., Any], method: Classical, poses: tuple[Array,
         ) from error
 
 
-def _proper(R: Array, t: Array, method: Classical) -> Array:
+def _proper(R: Array, t: Array, method: Method) -> Array:
     """The pose, a slightly skewed rotation made orthonormal, or the error that it is none."""
     R, t = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).reshape(-1)
     if not (np.isfinite(R).all() and np.isfinite(t).all()):
@@ -114,25 +102,23 @@ def _enough_for_opencv_tsai(motions: Motions) -> bool:
     vectors = stacks.log_so3(motions.A[:, :3, :3])
     angles = np.linalg.norm(vectors, axis=-1)
     kept = vectors[(angles > _TSAI_LEAST) & (angles < _TSAI_MOST)]
-    if len(kept) < 2:
-        return False
-    return bool(np.sqrt(np.linalg.eigvalsh(kept.T @ kept / len(kept))[1]) > _TSAI_SECOND_AXIS)
+    return len(kept) > 1 and bool(np.linalg.eigvalsh(kept.T @ kept / len(kept))[1] > _TSAI_SECOND_AXIS**2)
 
 
-def from_motions(motions: Motions, method: Classical) -> Array:
+def from_motions(motions: Motions, method: Method) -> Array:
     """X (4, 4) from bare motions A X = X B, where no poses exist that OpenCV could take.
 
     Tsai, Park, Horaud and Daniilidis; on the motions of all pairs of samples they equal OpenCV's. Raises
     MeasurementFailed like ``from_poses``, ValueError for another method.
     """
     dual = dual_quaternions(motions)
-    if method is Classical.DANIILIDIS:
+    if method is Method.DANIILIDIS:
         return _daniilidis(dual)
-    if method is Classical.TSAI:
+    if method is Method.TSAI:
         R = _tsai_rotation(dual)
-    elif method is Classical.PARK:
+    elif method is Method.PARK:
         R = _park_rotation(motions)
-    elif method is Classical.HORAUD:
+    elif method is Method.HORAUD:
         R = stacks.rotation_from_quaternion(np.linalg.eigh(forms(dual).RR)[1][:, 0])
     else:
         raise ValueError(f"{method} needs poses")

@@ -24,7 +24,6 @@ from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions, dual_quaternions
-from vision_pc.core.hand_eye.solvers.noise import NoiseSource
 from vision_pc.core.se3 import Array, nearest_rotation
 
 LEAST_FOR_OUTLIERS = 5  # samples: with fewer, three that agree by chance outvote the others
@@ -81,22 +80,16 @@ def start_of(p: Parts, weights: Array) -> tuple[Array, Array]:
     return stacks.transform(R_X, t[..., :3]), stacks.transform(R_Z, t[..., 3:])
 
 
-class Consensus(NamedTuple):
-    """Weights (n,), 1 for samples that agree and 0 for the others, and the estimate they give."""
-
-    weights: Array
-    X: Array
-    Z: Array
-
-
-def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Consensus:
-    """The samples whose squared normalised residual stays below ``threshold`` at the truncated optimum."""
+def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Array:
+    """Weights (n,), 1 for the samples whose squared normalised residual stays below ``threshold`` at the
+    truncated optimum, 0 for the others.
+    """
     n = len(p.H)
     X, Z = _refined(p, setup, noise, np.ones(n), None)
     squares = normalised_squares(p, setup, noise, X, Z)
     worst = float(squares.max())
     if worst <= threshold:
-        return Consensus(np.ones(n), X, Z)
+        return np.ones(n)
     mu = threshold / (2.0 * worst - threshold)
     for _ in range(_ROUNDS):
         weights = _truncated_weights(squares, threshold, mu)
@@ -108,8 +101,7 @@ def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Consens
         if settled and ((squares <= threshold) == (weights > 0.5)).all():
             break
         mu *= _GROWTH
-    weights = (squares <= threshold).astype(float)
-    return Consensus(weights, X, Z)
+    return (squares <= threshold).astype(float)
 
 
 def _truncated_weights(squares: Array, threshold: float, mu: float) -> Array:
@@ -154,7 +146,7 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     if not math.isfinite(turn * shift):
         raise MeasurementFailed("measurement.hand_eye.no_solution", "no three samples determine the pose")
     small_sample = (1.0 + 5.0 / max(n - 2, 1)) / _MEDIAN_NORM
-    return noise_model.beginning(NoiseSource.CAMERA, turn * small_sample, shift * small_sample)
+    return noise_model.starting_noise(turn * small_sample, shift * small_sample)
 
 
 def second_turn(H: Array) -> float:

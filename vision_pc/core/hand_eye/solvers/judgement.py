@@ -5,13 +5,14 @@ Here each doubt has a cause, a sentence with the figure and its limit, and says 
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.config.choices import Method, Setup
+from vision_pc.core import se3
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import lens, methods, readings
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
@@ -19,6 +20,8 @@ from vision_pc.core.hand_eye.solvers.noise import few_sample_factor
 from vision_pc.core.hand_eye.solvers.readings import Reading, Scale
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 
+_POSE = 6  # numbers of a pose, which its own corners fit
+_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of a distance in a plane, in deviations a coordinate
 _AS_WELL = 1.5  # times the least misfit: chance, not a better reading
 _SCALES = {
     1000.0: "camera lengths in m beside a hand in mm",
@@ -35,27 +38,15 @@ _SCALES = {
 }
 
 
-class JudgementLimits(NamedTuple):
-    """From where on a calibration is questioned, and from where on it is refused.
-
-    Readings are compared from ``least_samples`` on: with fewer, chance makes a wrong one fit better. Right
-    samples with 0.05° to 1.5° of noise never had another reading fit 2 times better (5 samples, 1.5 from 6
-    on), mistaken ones 5 times and more; where there is no solution, ``explains`` is enough. ``scale_…`` bound
-    |λ − 1|, which must be ``scale_sigmas`` off as well.
-    ``noise_deg``, ``noise_share`` (of the target's median distance) and ``corner_px`` question, ``refuse``
-    times as much refuses.
-    """
-
-    least_samples: int = 5
-    better: float = 3.0
-    explains: float = 1.5
-    scale_questioned: float = 0.01
-    scale_refused: float = 0.05
-    scale_sigmas: float = 5.0
-    noise_deg: float = 2.0
-    noise_share: float = 0.05
-    corner_px: float = 0.3
-    refuse: float = 5.0
+# Readings are compared from so many samples on: with fewer, chance makes a wrong one fit better.
+_LEAST_SAMPLES = 5  # [M] as below
+# [M] Right samples with 0.05° to 1.5° of noise never had another reading fit 2 times better (5 samples, 1.5
+# from 6 on), mistaken ones 5 times and more.
+_BETTER = 3.0  # [M] between the two
+_EXPLAINS = 1.5  # the same, where there is no solution
+_SCALE_QUESTIONED, _SCALE_REFUSED, _SCALE_SIGMAS = 0.01, 0.05, 5.0  # |λ − 1|, and how many σ it must be off
+_NOISE_DEG, _NOISE_SHARE, _CORNER_PX = 2.0, 0.05, 0.3  # a share of the target's median distance
+_REFUSE = 5.0  # times as much refuses
 
 
 class Doubt(NamedTuple):
@@ -82,10 +73,6 @@ class Judgement(NamedTuple):
         if not self.doubts:
             return "good"
         return "refused" if self.doubts[0].refused else "questioned"
-
-    def with_doubts(self, more: Sequence[Doubt]) -> "Judgement":
-        """The same with ``more`` doubts."""
-        return self._replace(doubts=_gravest_first([*self.doubts, *more]))
 
     def demand(self) -> None:
         """Raise MeasurementFailed with the first doubt that forbids X."""
@@ -115,53 +102,63 @@ def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[
     return lens.widened(pairs, result), found
 
 
-def judged(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits | None = None) -> Judgement:
+def judged(pairs: PosePairs, result: HandEyeResult) -> Judgement:
     """The doubts about ``result``, which any method has made of ``pairs``."""
-    limits = limits or JudgementLimits()
-    doubts = _noise_doubts(pairs, result, limits) + _exchange_doubts(result)
-    if len(pairs) < limits.least_samples:
-        few = f"{len(pairs)} samples are too few to tell a mistaken file; {limits.least_samples} can"
+    doubts = _noise_doubts(pairs, result) + _exchange_doubts(result) + _corner_doubts(pairs)
+    if len(pairs) < _LEAST_SAMPLES:
+        few = f"{len(pairs)} samples are too few to tell a mistaken file; {_LEAST_SAMPLES} can"
         doubts.append(Doubt("measurement.hand_eye.few_samples", few, refused=False))
         return Judgement(_gravest_first(doubts), None, None)
     as_given, others = readings.given(pairs), readings.others(pairs)
-    misread = _misread(pairs, as_given, others, limits)
+    misread = _misread(pairs, as_given, others, _BETTER)
     if as_given is not None and misread is not None:
         words = f"{misread.words}, as given {_fits(as_given)}"
         return Judgement((Doubt(misread.cause, words, refused=True),), None, None)
     found = _scale(pairs, result)
-    if (doubt := _scale_doubt(found, limits)) is not None:
+    if (doubt := _scale_doubt(found)) is not None:
         doubts.append(doubt)
     mistaken = [reading.misfit for reading in others if reading.mistake]
     next_best = min(mistaken) / as_given.misfit if mistaken and as_given is not None else None
     return Judgement(_gravest_first(doubts), found, next_best)
 
 
-def explained(
-    pairs: PosePairs, error: MeasurementFailed, limits: JudgementLimits | None = None
-) -> MeasurementFailed:
+def explained(pairs: PosePairs, error: MeasurementFailed) -> MeasurementFailed:
     """``error`` of a solver, or in its place the mistake that explains it: a reading that fits well."""
-    limits = limits or JudgementLimits()
-    if len(pairs) < limits.least_samples:
+    if len(pairs) < _LEAST_SAMPLES:
         return error
     as_given, others = readings.given(pairs), readings.others(pairs)
-    misread = _misread(pairs, as_given, others, limits._replace(better=limits.explains))
+    misread = _misread(pairs, as_given, others, _EXPLAINS)
     if misread is None:
         return error
     words = f"{misread.words}, as given no solution ({error.cause})"
     return MeasurementFailed(misread.cause, words)
 
 
-def corner_doubt(noise_px: float, limits: JudgementLimits | None = None) -> Doubt | None:
-    """What corner noise (px a coordinate) says of corners, lens and camera matrix; None where it is usual."""
-    limits = limits or JudgementLimits()
-    if noise_px <= limits.corner_px:
-        return None
+def _corner_doubts(pairs: PosePairs) -> list[Doubt]:
+    """What the corners' noise, px a coordinate, says of lens and camera matrix: how far the target, at each
+    picture's own pose, is from where it was seen.
+    """
+    if pairs.corners is None:
+        return []
+    points, views, K, distortion = pairs.corners
+    off, unknown = [], 0
+    for X_CP, seen in zip(pairs.P, views, strict=True):
+        shown = np.isfinite(seen).all(axis=1)
+        turn, place = se3.log_so3(X_CP[:3, :3]), X_CP[:3, 3].copy()
+        expected = cv2.projectPoints(points[shown], turn, place, K, distortion)[0].reshape(-1, 2)
+        off.append(np.linalg.norm(expected - seen[shown], axis=1))
+        unknown += _POSE
+    sizes = np.concatenate(off)
+    freedom = max(2 * len(sizes) - unknown, 1) / (2 * len(sizes))
+    noise_px = float(np.median(sizes)) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
+    if noise_px <= _CORNER_PX:
+        return []
     reason = (
-        f"corner noise is {noise_px:.3f} px, limit {limits.corner_px:g} px: "
+        f"corner noise is {noise_px:.3f} px, limit {_CORNER_PX:g} px: "
         "camera_matrix or distortion of another camera or picture size, blur, or corners out of order"
     )
-    refused = noise_px > limits.refuse * limits.corner_px
-    return Doubt("measurement.hand_eye.corner_noise", reason, refused)
+    refused = noise_px > _REFUSE * _CORNER_PX
+    return [Doubt("measurement.hand_eye.corner_noise", reason, refused)]
 
 
 def _gravest_first(doubts: list[Doubt]) -> tuple[Doubt, ...]:
@@ -169,13 +166,13 @@ def _gravest_first(doubts: list[Doubt]) -> tuple[Doubt, ...]:
 
 
 def _misread(
-    pairs: PosePairs, as_given: Reading | None, others: tuple[Reading, ...], limits: JudgementLimits
+    pairs: PosePairs, as_given: Reading | None, others: tuple[Reading, ...], better: float
 ) -> _Misread | None:
     """The simplest of the readings that fit best, if they fit several times better than the given one, and
     well enough to be believed themselves.
     """
-    others = tuple(one for one in others if _excess(pairs, one.noise, one.scale, limits) <= 1.0)
-    if not others or (as_given is not None and as_given.misfit < limits.better * others[0].misfit):
+    others = tuple(one for one in others if _excess(pairs, one.noise, one.scale) <= 1.0)
+    if not others or (as_given is not None and as_given.misfit < better * others[0].misfit):
         return None
     near = [reading for reading in others if reading.misfit <= _AS_WELL * others[0].misfit]
     least = min(_mistakes(reading) for reading in near)
@@ -218,15 +215,15 @@ def _scale(pairs: PosePairs, result: HandEyeResult) -> Scale:
     return found._replace(std=found.std * math.sqrt(few_sample_factor(len(inliers))))
 
 
-def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:
+def _scale_doubt(found: Scale) -> Doubt | None:
     off = abs(found.factor - 1.0)
-    if off <= max(limits.scale_questioned, limits.scale_sigmas * found.std):
+    if off <= max(_SCALE_QUESTIONED, _SCALE_SIGMAS * found.std):
         return None
     reason = (
         f"camera lengths fit when multiplied by {found.factor:.4g} ± {found.std:.2g}, "
-        f"limit 1 ± {limits.scale_questioned:g}{_name_of_factor(found.factor)}"
+        f"limit 1 ± {_SCALE_QUESTIONED:g}{_name_of_factor(found.factor)}"
     )
-    return Doubt("measurement.hand_eye.scale", reason, off > limits.scale_refused)
+    return Doubt("measurement.hand_eye.scale", reason, off > _SCALE_REFUSED)
 
 
 def _distance(pairs: PosePairs) -> float:
@@ -234,24 +231,24 @@ def _distance(pairs: PosePairs) -> float:
     return float(np.median(np.linalg.norm(pairs.P[:, :3, 3], axis=-1)))
 
 
-def _excess(pairs: PosePairs, noise: Noise, scale: float, limits: JudgementLimits) -> float:
+def _excess(pairs: PosePairs, noise: Noise, scale: float) -> float:
     """How many times what is believed without a question ``noise`` is, of camera lengths times ``scale``."""
-    shift = noise.camera_translation / (limits.noise_share * scale * _distance(pairs))
-    return max(math.degrees(noise.camera_rotation) / limits.noise_deg, shift)
+    shift = noise.camera_translation / (_NOISE_SHARE * scale * _distance(pairs))
+    return max(math.degrees(noise.camera_rotation) / _NOISE_DEG, shift)
 
 
-def _noise_doubts(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits) -> list[Doubt]:
+def _noise_doubts(pairs: PosePairs, result: HandEyeResult) -> list[Doubt]:
     noise = result.residual_noise()
     turn, shift, distance = noise.camera_rotation, noise.camera_translation, _distance(pairs)
-    excess = _excess(pairs, noise, 1.0, limits)
+    excess = _excess(pairs, noise, 1.0)
     if excess <= 1.0:
         return []
     reason = (
-        f"noise is {math.degrees(turn):.3g} deg {1e3 * shift:.3g} mm, limit {limits.noise_deg:g} deg and "
-        f"{100.0 * limits.noise_share:g} % of the target's {1e3 * distance:.4g} mm: "
+        f"noise is {math.degrees(turn):.3g} deg {1e3 * shift:.3g} mm, limit {_NOISE_DEG:g} deg and "
+        f"{100.0 * _NOISE_SHARE:g} % of the target's {1e3 * distance:.4g} mm: "
         "blurred pictures, another camera's intrinsics, a moved target, or poses that do not belong together"
     )
-    return [Doubt("measurement.hand_eye.noise", reason, excess > limits.refuse)]
+    return [Doubt("measurement.hand_eye.noise", reason, excess > _REFUSE)]
 
 
 def _exchange_doubts(result: HandEyeResult) -> list[Doubt]:

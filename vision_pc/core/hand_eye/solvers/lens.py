@@ -7,13 +7,13 @@ errors move X is the estimator's linear answer; the camera's covariance is carri
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from protocol.errors import RequestRefused
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import KnownLens, PosePairs
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
@@ -26,6 +26,16 @@ DISTORTION_STD = (4e-3, 0.0, 4e-4, 4e-4, 0.0)  # [E] of k1 k2 p1 p2 k3
 _USUAL_FOCAL_PX = 1000.0  # of a camera that nobody described; results do not depend on it
 _HALF_SIDE = 0.1  # of a target whose corners nobody gave, over its distance
 _PARAMETERS = 9
+
+
+class KnownLens(NamedTuple):
+    """``K`` (3, 3) px and ``distortion`` (k,) that pictures were measured with, and how well they are known:
+    ``covariance`` (9, 9) of fx, fy, cx, cy (px) and k1 k2 p1 p2 k3, or of the first four.
+    """
+
+    K: Array
+    distortion: Array
+    covariance: Array
 
 
 def usual(K: Array | None = None, distortion: Array | None = None) -> KnownLens:
@@ -41,39 +51,19 @@ def usual(K: Array | None = None, distortion: Array | None = None) -> KnownLens:
     return KnownLens(K, np.zeros(5) if distortion is None else distortion, common)
 
 
-def checked(K: Array, distortion: Array, covariance: Array) -> KnownLens:
-    """A lens as a file describes it. Raises RequestRefused (``refused.hand_eye.camera_covariance``)."""
-    size = len(covariance)
-    shapes = ((4, 4), (_PARAMETERS, _PARAMETERS))
-    symmetric = covariance.shape in shapes and bool(np.isfinite(covariance).all())
-    if symmetric:
-        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        unit = covariance / np.outer(scale, scale)
-        symmetric = bool(np.abs(unit - unit.T).max() < 1e-6 and np.linalg.eigvalsh(unit)[0] > -1e-6)
-    if not symmetric:
-        raise RequestRefused(
-            "refused.hand_eye.camera_covariance",
-            f"camera_covariance is {covariance.shape[0]}x{covariance.shape[-1] if size else 0}: 4x4 of fx fy "
-            "cx cy or 9x9 with k1 k2 p1 p2 k3 is wanted, symmetric, no variance below 0",
-        )
-    return KnownLens(K, distortion, covariance)
-
-
 def widened(pairs: PosePairs, result: HandEyeResult) -> HandEyeResult:
-    """``result`` with the lens's share in its covariance: the file's lens, else one known as usual."""
+    """``result`` with the lens's share in its covariance, of a lens known as usual."""
     if result.covariance is None:
         return result
-    lens = pairs.lens
-    notes = result.notes
-    if lens is None:
-        corners = pairs.corners
-        lens = usual() if corners is None else usual(corners.K, corners.distortion)
-        notes += (
-            f"camera_covariance is not given: focal length taken as known to {100.0 * FOCAL_STD:g} %, "
-            f"principal point to {100.0 * PRINCIPAL_STD:g} % of it, k1 to {DISTORTION_STD[0]:g}",
-        )
+    corners = pairs.corners
+    lens = usual() if corners is None else usual(corners.K, corners.distortion)
+    note = (
+        f"focal length taken as known to {100.0 * FOCAL_STD:g} %, principal point to "
+        f"{100.0 * PRINCIPAL_STD:g} % of it, k1 to {DISTORTION_STD[0]:g}"
+    )
     of_lens = share(pairs, result, lens)
-    return replace(result, covariance=result.covariance + of_lens, of_lens=of_lens, notes=notes)
+    covariance, notes = result.covariance + of_lens, (*result.notes, note)
+    return replace(result, covariance=covariance, of_lens=of_lens, notes=notes)
 
 
 def share(pairs: PosePairs, result: HandEyeResult, lens: KnownLens) -> Array:

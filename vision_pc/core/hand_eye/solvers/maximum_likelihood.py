@@ -32,19 +32,17 @@ class Noise(NamedTuple):
 class Equations(NamedTuple):
     """H X P = Z over the samples: ``H``, ``P`` (n, 4, 4), ``weights`` (n,).
 
-    ``setup`` says where the hand is, from which the lever arm of robot noise is counted. ``tied`` means
-    Z = X: the relative-motion form A X = X B with H = A⁻¹, P = B.
+    ``setup`` says where the hand is, from which the lever arm of robot noise is counted.
     """
 
     H: Array
     P: Array
     weights: Array
     setup: Setup = Setup.EYE_IN_HAND
-    tied: bool = False
 
 
 class Estimate(NamedTuple):
-    """The most likely X and Z (4, 4), the information matrix of their perturbation (12, 12; 6, 6 if tied),
+    """The most likely X and Z (4, 4), the information matrix of their perturbation (12, 12),
 
     camera-frame residuals (n, 6) as [translation; rotation], and the weighted sum of squares ``cost``.
     """
@@ -69,7 +67,7 @@ def residuals(H: Array, P: Array, X: Array, Z: Array) -> Array:
 
 
 def jacobian(equations: Equations, X: Array, Z: Array, r: Array) -> Array:
-    """The derivative (n, 6, 12) of ``residuals`` by [δp_X, δθ_X, δp_Z, δθ_Z]; (n, 6, 6) when tied."""
+    """The derivative (n, 6, 12) of ``residuals`` by [δp_X, δθ_X, δp_Z, δθ_Z]."""
     n = len(equations.H)
     R_X_transposed = X[:3, :3].T
     R_H_transposed = np.swapaxes(equations.H[:, :3, :3], -1, -2)
@@ -83,7 +81,7 @@ def jacobian(equations: Equations, X: Array, Z: Array, r: Array) -> Array:
     J[:, 3:, 3:6] = log_slope @ R_X_transposed
     J[:, :3, 6:9] = -to_camera
     J[:, 3:, 9:12] = -log_slope @ to_camera
-    return J[..., :6] + J[..., 6:] if equations.tied else J
+    return J
 
 
 def robot_levers(equations: Equations, X: Array, Z: Array) -> Array:
@@ -134,7 +132,7 @@ def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int 
     for _ in range(steps):
         information, gradient = J.T @ J, J.T @ r
         step = _solve_damped(information, gradient, damping)
-        candidate_X, candidate_Z = moved(X, Z, -step, equations.tied)
+        candidate_X, candidate_Z = moved(X, Z, -step)
         new_r, new_J, new_cost = _linearised(equations, candidate_X, candidate_Z, noise)
         length = float(step @ information @ step)
         if new_cost <= cost * (1.0 + 1e-12):
@@ -196,10 +194,9 @@ def _solved(information: Array, right: Array, damping: float = 0.0) -> Array:
         ) from error
 
 
-def moved(X: Array, Z: Array, step: Array, tied: bool) -> tuple[Array, Array]:
-    """X and Z moved by ``step`` (12,), or (6,) when tied."""
-    moved_X = _retracted(X, step[:6])
-    return moved_X, moved_X if tied else _retracted(Z, step[6:])
+def moved(X: Array, Z: Array, step: Array) -> tuple[Array, Array]:
+    """X and Z moved by ``step`` (12,)."""
+    return _retracted(X, step[:6]), _retracted(Z, step[6:])
 
 
 def _retracted(X: Array, delta: Array) -> Array:

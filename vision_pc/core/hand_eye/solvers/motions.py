@@ -1,7 +1,6 @@
 """Relative motions of hand and camera, A X = X B, as dual quaternions.
 
 From poses every pair i < j gives one motion, so no choice of pairs can depend on the order of the samples.
-Motions may also be given as such, with their own independent noise (the paper's simulation).
 """
 
 import math

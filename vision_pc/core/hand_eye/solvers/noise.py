@@ -8,7 +8,6 @@ the errors.
 """
 
 import math
-from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from vision_pc.core.se3 import Array
 _ROUNDS = 40
 _LINEARISATIONS = 2
 _STEPS = 4  # of Gauss-Newton before each
-_FOR_RATIO = 6  # samples: with fewer the unknowns can fit all translations and call their noise zero
+_FOR_RATIO = 5  # samples: with fewer the unknowns can fit all translations and call their noise zero
 _FOR_SOURCE = 8  # samples: with fewer only the prior tells camera from robot noise
 _SETTLED = 1e-3
 _NEGLIGIBLE = 1e-3  # of the residuals' total: a component below it is done
@@ -29,54 +28,35 @@ USUAL_RATIO = (1.7e-3, 1e-3)  # 0.1 degrees to 1 mm
 _LEAST = 1e-9  # rad and m: exact synthetic data still need finite weights
 
 
-class NoiseSource(StrEnum):
-    """Whose noise the residuals show."""
-
-    CAMERA = "camera"
-    ROBOT = "robot"
-    BOTH = "both"
-
-
-_FIELDS = {
-    NoiseSource.CAMERA: ("camera_rotation", "camera_translation"),
-    NoiseSource.ROBOT: ("robot_rotation", "robot_translation"),
-    NoiseSource.BOTH: Noise._fields,
-}
-
-
-def beginning(source: NoiseSource, rotation: float, translation: float) -> Noise:
-    """Noise of that size (rad, m) from which to search; of both, when the source is both."""
+def starting_noise(rotation: float, translation: float, both: bool = False) -> Noise:
+    """Noise of that size (rad, m) from which to search: the camera's, or of camera and robot alike."""
     rotation, translation = max(float(rotation), _LEAST), max(float(translation), _LEAST)
-    if source is NoiseSource.BOTH:
-        share = 0.5**0.5
-        return Noise(share * rotation, share * translation, share * rotation, share * translation)
-    if source is NoiseSource.ROBOT:
-        return Noise(_LEAST, _LEAST, rotation, translation)
-    return Noise(rotation, translation)
+    if not both:
+        return Noise(rotation, translation)
+    share = 0.5**0.5
+    return Noise(share * rotation, share * translation, share * rotation, share * translation)
 
 
 def estimated(
-    equations: Equations, X: Array, Z: Array, noise: Noise, source: NoiseSource
+    equations: Equations, X: Array, Z: Array, noise: Noise, both: bool = True
 ) -> tuple[Estimate, Noise]:
-    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of ``source`` that its residuals show.
+    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of camera and robot, or of the camera
+    alone, that its residuals show.
 
-    ``noise`` gives the size from which to search. Under 6 samples all of it is taken as the camera's, and the
+    ``noise`` gives the size from which to search. Under 5 samples all of it is taken as the camera's, and the
     ratio of rotation to translation is kept.
     """
     samples = int((equations.weights > 0.5).sum())
-    if source is NoiseSource.BOTH and (equations.tied or samples < _FOR_RATIO):
-        source = NoiseSource.CAMERA
-    if samples < _FOR_RATIO:
-        noise = beginning(source, *USUAL_RATIO)
-    size = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
-    shift = float(np.hypot(noise.camera_translation, noise.robot_translation))
-    noise = beginning(source, size, shift)
+    both = both and samples >= _FOR_RATIO
+    size, shift = USUAL_RATIO
+    if samples >= _FOR_RATIO:
+        size = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
+        shift = float(np.hypot(noise.camera_translation, noise.robot_translation))
+    noise, fields = starting_noise(size, shift, both), Noise._fields if both else Noise._fields[:2]
     for _ in range(_LINEARISATIONS):
         estimate = ml.maximize(equations, X, Z, noise, steps=_STEPS)
         X, Z = estimate.X, estimate.Z
-        noise = _noise_explaining(
-            _linearised(equations, estimate, _FIELDS[source]), noise, samples < _FOR_RATIO
-        )
+        noise = _noise_explaining(_linearised(equations, estimate, fields), noise, samples < _FOR_RATIO)
     return ml.maximize(equations, X, Z, noise), noise
 
 
@@ -163,13 +143,14 @@ def _shown_and_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, 
     return across(r[:, None])[:, 0, 0], expected
 
 
-def few_sample_note(samples: int) -> str | None:
-    """What to say of noise that few samples cannot split into camera and robot; None from 8 on."""
+def few_sample_notes(samples: int) -> list[str]:
+    """What to say of noise that few samples cannot split into camera and robot; nothing from 8 on."""
     if samples < _FOR_RATIO:
-        return f"{samples} samples are too few to tell camera from robot noise: all is taken as the camera's"
-    if samples < _FOR_SOURCE:
-        return f"{samples} samples hardly tell camera from robot noise: their split is mostly the prior's"
-    return None
+        return [
+            f"{samples} samples are too few to tell camera from robot noise: all is taken as the camera's"
+        ]
+    hardly = f"{samples} samples hardly tell camera from robot noise: their split is mostly the prior's"
+    return [hardly] if samples < _FOR_SOURCE else []
 
 
 def few_sample_factor(samples: int) -> float:

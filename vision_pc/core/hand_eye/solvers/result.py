@@ -19,22 +19,12 @@ from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions
 from vision_pc.core.se3 import Array
 
-
-class ObservabilityLimits(NamedTuple):
-    """``samples`` at least; ``rotation`` at least between some two samples (rad).
-
-    About axes other than the main one the hand must turn ``second_axis`` rms at least (rad),
-    ``above_noise`` times the rotation noise that the motions show, and enough that this noise, averaged
-    over the samples, leaves the rotation of X known to ``uncertainty`` (rad). Where it forbids an answer and
-    is above ``strangers``, it is no noise: whatever X is, hand and camera turn by equal angles.
-    """
-
-    samples: int = 3
-    rotation: float = math.radians(1.0)
-    second_axis: float = math.radians(0.3)
-    above_noise: float = 1.2
-    uncertainty: float = 0.1
-    strangers: float = math.radians(5.0)
+_LEAST_SAMPLES = 3
+_LEAST_ROTATION = math.radians(1.0)  # between some two samples
+_SECOND_AXIS = math.radians(0.3)  # rms that the hand must turn about axes other than the main one
+_ABOVE_NOISE = 1.2  # the same, times the rotation noise that the motions show
+_UNCERTAINTY = 0.1  # rad, that this noise, averaged over the samples, may leave in the rotation of X
+_STRANGERS = math.radians(5.0)  # no noise: whatever X is, hand and camera turn by equal angles
 
 
 class Observability(NamedTuple):
@@ -57,11 +47,10 @@ class Observability(NamedTuple):
             raise MeasurementFailed(self.cause, self.reason)
 
 
-def verdict(samples: int, motions: Motions, limits: ObservabilityLimits | None = None) -> Observability:
+def verdict(samples: int, motions: Motions, whatever_the_noise: bool = False) -> Observability:
     """Whether X can be determined from these ``samples`` and the ``motions`` between them."""
-    limits = limits or ObservabilityLimits()
-    if samples < limits.samples or not len(motions.A):
-        reason = f"{samples} samples are too few: at least {limits.samples} are needed"
+    if samples < _LEAST_SAMPLES or not len(motions.A):
+        reason = f"{samples} samples are too few: at least {_LEAST_SAMPLES} are needed"
         return Observability(samples, 0.0, 0.0, 0.0, "measurement.hand_eye.too_few_samples", reason)
     hand, camera = stacks.log_so3(motions.A[:, :3, :3]), stacks.log_so3(motions.B[:, :3, :3])
     hand_angles = np.linalg.norm(hand, axis=-1)
@@ -69,22 +58,19 @@ def verdict(samples: int, motions: Motions, limits: ObservabilityLimits | None =
     second = min(_second_axis(hand), _second_axis(camera))
     difference = np.abs(hand_angles - np.linalg.norm(camera, axis=-1))
     mismatch = 1.4826 * float(np.median(difference))  # robust: a few bad samples do not count as noise
-    cause, reason = None, "two or more axes, enough rotation"
-    needed = max(
-        limits.second_axis,
-        limits.above_noise * mismatch,
-        mismatch / (limits.uncertainty * math.sqrt(max(samples - 2, 1))),
-    )
-    if largest < limits.rotation:
+    cause, reason, needed = None, "two or more axes, enough rotation", _SECOND_AXIS
+    if not whatever_the_noise:
+        by_noise = max(_ABOVE_NOISE, 1.0 / (_UNCERTAINTY * math.sqrt(max(samples - 2, 1))))
+        needed = max(needed, by_noise * mismatch)
+    if largest < _LEAST_ROTATION:
         cause = "measurement.hand_eye.too_little_rotation"
-        reason = (
-            f"largest rotation between samples is {_deg(largest)}, at least {_deg(limits.rotation)} is needed"
-        )
-    elif limits.second_axis <= second < needed and mismatch > limits.strangers:
+        least = _deg(_LEAST_ROTATION)
+        reason = f"largest rotation between samples is {_deg(largest)}, at least {least} is needed"
+    elif _SECOND_AXIS <= second < needed and mismatch > _STRANGERS:
         cause = "measurement.hand_eye.motions_differ"
         reason = (
             f"hand and camera turn by different angles between the same samples, {_deg(mismatch)} apart, "
-            f"limit {_deg(limits.strangers)}: their poses do not belong together"
+            f"limit {_deg(_STRANGERS)}: their poses do not belong together"
         )
     elif second < needed:
         cause = "measurement.hand_eye.parallel_axes"

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes.bundle_adjustment import Views
+from vision_pc.core.odometry.contradiction import Depths
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
@@ -51,10 +51,8 @@ class Keyframe(NamedTuple):
     """A remembered left picture (also ``halved``), its pose, and the map points ``ids`` (n,) that it shows.
 
     ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
-    ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,);
-    ``match_stds`` (2, n) px of where both eyes see them, as far as patches tell. Keyframes are numbered in
-    the order in which they were made. ``templates`` are of all points that it was made with,
-    ``rows`` (n,) which of those these are.
+    ``patches.planes``. Keyframes are numbered in the order in which they were made. ``templates`` are of all
+    points that it was made with, ``rows`` (n,) which of those these are. ``depths``: of its small picture.
     """
 
     number: int
@@ -65,11 +63,9 @@ class Keyframe(NamedTuple):
     pixels: Array
     rays: Array
     surfaces: Array
-    right_rays: Array
-    seen_right: Flags
-    match_stds: Array
     templates: Templates
     rows: Indices
+    depths: Depths | None = None
 
     def only(self, chosen: Flags) -> "Keyframe":
         """The keyframe with the ``chosen`` (n,) of its points."""
@@ -78,9 +74,6 @@ class Keyframe(NamedTuple):
             pixels=self.pixels[chosen],
             rays=self.rays[chosen],
             surfaces=self.surfaces[chosen],
-            right_rays=self.right_rays[chosen],
-            seen_right=self.seen_right[chosen],
-            match_stds=self.match_stds[:, chosen],
             rows=self.rows[chosen],
         )
 
@@ -94,42 +87,3 @@ class Keyframe(NamedTuple):
         zoom = abs(np.log(max(1.0 - X[2, 3] / depth, 0.05))) / np.log(_LARGEST_ZOOM)
         turn = se3.angle_between(X[:3, :3], np.eye(3)) / _LARGEST_TURN
         return float(shift + zoom + turn)
-
-
-def shared(
-    chosen: list[Keyframe], shown: Indices, first: Indices, views_alone: bool
-) -> tuple[Indices, Views, Indices, Indices]:
-    """The map points (m,) of those ``shown`` that at least two of the ``chosen`` keyframes show, their views,
-    and which keyframes (n,) first showed which points (n,). What is known of depths holds those, and so their
-    right eyes' views are left out; ``views_alone``: depths are not asked, and none is.
-
-    ``first`` (k,): numbers of the keyframes that first showed each point of the map.
-    """
-    every = np.concatenate([keyframe.ids for keyframe in chosen])
-    ids, counts = np.unique(every[np.isin(every, shown)], return_counts=True)
-    ids = ids[counts > 1]
-    cameras, numbers, eyes, rays, stds = [], [], [], [], []
-    depths: list[tuple[Array, Array]] = []
-    for k, keyframe in enumerate(chosen):
-        mine = np.isin(keyframe.ids, ids)
-        new = (first[keyframe.ids] == keyframe.number) & (not views_alone)
-        for eye, seen, there in (
-            (0, mine, keyframe.rays),
-            (1, mine & keyframe.seen_right & ~new, keyframe.right_rays),  # its depth says that already
-        ):
-            numbers.append(np.searchsorted(ids, keyframe.ids[seen]))
-            cameras.append(np.full(len(numbers[-1]), k))
-            eyes.append(np.full(len(numbers[-1]), eye))
-            rays.append(there[seen])
-            stds.append(keyframe.match_stds[eye, seen])
-        own = np.searchsorted(ids, keyframe.ids[mine & new])
-        depths.append((np.full(len(own), k), own))
-    views = Views(
-        np.concatenate(cameras),
-        np.concatenate(numbers),
-        np.concatenate(eyes),
-        np.concatenate(rays),
-        np.concatenate(stds),
-    )
-    camera, point = (np.concatenate(part) for part in zip(*depths, strict=True))
-    return ids, views, camera, point

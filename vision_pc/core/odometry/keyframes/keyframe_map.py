@@ -11,19 +11,14 @@ import numpy as np
 
 from foundation.compiled import allocation_free
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes import bundle_adjustment
-from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe, shared
+from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
-from vision_pc.core.odometry.limits import HUBER_PX, NOISE_PX
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
-_LEASTSHARED = 15  # points with the window, for a keyframe to hold it
-_LEAST_SCALE_STD = 2e-5
 SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _REPORTED_PX = 0.03  # [E] by rendered sequences: what differs from point to point; the rest they share
 _NOT_MOVED = np.zeros(6)
-_OLDEST = 0.2  # of points: may be mismatched
 
 
 class HeldViews(NamedTuple):
@@ -39,8 +34,7 @@ class HeldViews(NamedTuple):
 class KeyframeMap:
     """Map points and the keyframes that show them, kept so that they are found again on the way back.
 
-    ``points`` (n, 3) in C0. The error that all depths share is apart from their own: ``scale_std`` of the
-    whole map, relative.
+    ``points`` (n, 3) in C0.
     """
 
     def __init__(self, camera: CameraCalibration, depth_floor_px: float) -> None:
@@ -56,7 +50,6 @@ class KeyframeMap:
         # how inverse depths, 1/m, and keyframes, [δp; δθ] in C0, go by a px of an offset of all disparities
         self._by_offset, self._keyframes_by_offset = np.zeros(0), np.zeros((0, 6))
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
-        self.scale_std = 0.0
         self._forgotten = -1  # the greatest number of a keyframe that was left out
 
     def add_points(
@@ -97,30 +90,6 @@ class KeyframeMap:
     def shown_by(self, ids: Indices) -> Indices:
         """The numbers (n,) of the keyframes that first showed points ``ids``."""
         return self._first[ids]
-
-    def shown_since(self, ids: Indices) -> int:
-        """The number of the keyframe that first showed points ``ids``, but for the oldest of them: what they
-        belong to was in the map from then on.
-        """
-        return int(np.quantile(self._first[ids], _OLDEST))
-
-    def initialise_scale(self, ids: Indices) -> None:
-        """Take the scale of the whole map to be as certain as the depths of its first points ``ids`` make
-        it.
-        """
-        relative = self._inverse_depths[ids] / self.stds(ids)
-        self.scale_std = float((relative**2).sum() ** -0.5)
-
-    def rescale(self, factor: float, std: float) -> None:
-        """Stretch the whole map about C0 by ``factor``; its scale is then known to ``std``."""
-        self.scale_std = max(std, _LEAST_SCALE_STD)
-        self._origins *= factor
-        self._inverse_depths /= factor
-        self.points *= factor
-        for k, keyframe in enumerate(self.keyframes):
-            X_C0C = keyframe.X_C0C.copy()
-            X_C0C[:3, 3] *= factor
-            self.keyframes[k] = keyframe._replace(X_C0C=X_C0C, surfaces=keyframe.surfaces / factor)
 
     def sensitivity(self, ids: Indices, X_CC0: Array) -> Array:
         """How far the eyes' views of points ``ids`` move with their inverse depths, px m (2, n, 2)."""
@@ -179,62 +148,6 @@ class KeyframeMap:
         """Leave ``keyframe`` out of the map; its points stay for those that share them."""
         self._forgotten = max(self._forgotten, keyframe.number)
         self.keyframes = [kept for kept in self.keyframes if kept is not keyframe]
-
-    def adjust(self, window: int) -> None:
-        """Bring the newest ``window`` keyframes and the points that they share with others into agreement.
-
-        Held by what stays: the first keyframe, and up to ``window`` older ones that show the same points.
-        """
-        free = [keyframe for keyframe in self.keyframes[-window:] if keyframe is not self.keyframes[0]]
-        shown = np.unique(np.concatenate([keyframe.ids for keyframe in free])) if free else np.zeros(0, int)
-        older = self.keyframes[: len(self.keyframes) - len(free)]
-        shares = [int(np.isin(keyframe.ids, shown).sum()) for keyframe in older]
-        held = [older[k] for k in np.argsort(shares, kind="stable")[-window:] if shares[k] >= _LEASTSHARED]
-        if not held:
-            return
-        problem, ids = self._problem(held, free, shown)
-        found = bundle_adjustment.adjusted(problem, self._eyes, NOISE_PX, HUBER_PX)
-        for keyframe, X_CC0 in zip(free, found.X_CC0[len(held) :], strict=True):
-            self._move(keyframe, se3.inverse(X_CC0))
-        lengths = np.linalg.norm(self._directions[ids], axis=1)
-        away = found.points - self._origins[ids]
-        self._inverse_depths[ids] = lengths / np.linalg.norm(away, axis=1)
-        self._directions[ids] = away * self._inverse_depths[ids][:, None]
-        self.points[ids] = found.points
-
-    def offset_told(self, window: int) -> bundle_adjustment.OffsetTold:
-        """What the newest ``window`` keyframes tell of an offset of the right eye's columns, from what both
-        eyes saw and from nothing else.
-        """
-        chosen = self.keyframes[-window:]
-        problem, _ = self._problem(chosen[:1], chosen[1:], np.concatenate([one.ids for one in chosen]), True)
-        found = bundle_adjustment.adjusted(problem, self._eyes, NOISE_PX, HUBER_PX)
-        there = problem._replace(X_CC0=found.X_CC0, points=found.points)
-        return bundle_adjustment.shared_offset(there, self._eyes, NOISE_PX, HUBER_PX)
-
-    def _problem(
-        self, held: list[Keyframe], free: list[Keyframe], shown: Indices, views_alone: bool = False
-    ) -> tuple[bundle_adjustment.Problem, Indices]:
-        """The problem of ``held`` and ``free`` keyframes, and the map points (m,) of it: those ``shown`` by
-        at least two of them. ``views_alone``: without what the frames between them taught of depths.
-        """
-        chosen = [*held, *free]
-        ids, views, camera, point = shared(chosen, shown, self._first, views_alone)
-        known = bundle_adjustment.Depths(
-            camera, point, self._inverse_depths[ids[point]], self.stds(ids[point])
-        )
-        X_CC0 = np.stack([se3.inverse(keyframe.X_C0C) for keyframe in chosen])
-        return bundle_adjustment.Problem(X_CC0, len(held), self.points[ids], views, known), ids
-
-    def _move(self, keyframe: Keyframe, X_C0C: Array) -> None:
-        """Put ``keyframe`` at ``X_C0C``, and with it the points that it was the first to show."""
-        moved = X_C0C @ se3.inverse(keyframe.X_C0C)
-        own = self._first == keyframe.number
-        self._origins[own] = X_C0C[:3, 3]
-        self._directions[own] = self._directions[own] @ moved[:3, :3].T
-        self.points[own] = self._origins[own] + self._directions[own] / self._inverse_depths[own][:, None]
-        position = next(k for k, kept in enumerate(self.keyframes) if kept is keyframe)
-        self.keyframes[position] = keyframe._replace(X_C0C=X_C0C)
 
     def nearest(self, X_C0C: Array) -> list[Keyframe]:
         """Keyframes, those first that look most like what a camera at ``X_C0C`` sees."""

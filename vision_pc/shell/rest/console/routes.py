@@ -6,31 +6,26 @@ import json
 import struct
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.responses import StreamingResponse
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from foundation.periods import take_policy
+from foundation import clock
 from foundation.rest.files import PageFiles, add_files, public_paths
 from foundation.rest.guard import Role
 from protocol.errors import LongreachError, RequestRefused
-from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice
 from vision_pc.application.console.overview import (
-    MeasuringPace,
     Overview,
-    ellipse_of,
-    glimpse,
-    told_by,
+    predicted_by,
+    session_state,
 )
 from vision_pc.application.results import JSON
 from vision_pc.core.types import StereoPair
@@ -39,7 +34,7 @@ from vision_pc.shell.rest.state_view import arm_json
 
 PICTURE_PERIOD_S = 0.095  # at most ten a second; a camera of ten a second loses none
 HEADER = struct.Struct("<IQQII")
-"""Bytes after this header, capture and encoding time (ns, vision's clock), frame, bytes of the left eye."""
+"""Bytes after this header, capture and encoding time (ns, monotonic), frame, bytes of the left eye."""
 _LEFT_QUALITY, _RIGHT_QUALITY = 80, 70
 _RIGHT_SCALE = 0.5
 
@@ -50,40 +45,27 @@ class LivePictures:
     def __init__(self, pair_after: Callable[[int], Awaitable[StereoPair]]) -> None:
         self._pair_after = pair_after
         self._shown_ns = 0
-        self._thread: ThreadPoolExecutor | None = None
+        # Not the eyes' thread: a watcher must neither wait for a measurement nor hold one up.
+        self._thread = ThreadPoolExecutor(1, "pictures")
 
     async def next_message(self) -> bytes:
         """The message of the first pair after the last one. Raises LinkLost while the camera is silent."""
         pair = await self._pair_after(self._shown_ns)
         self._shown_ns = pair.capture_ns
-        if self._thread is None:  # nobody watched before
-            # Not the eyes' thread: a watcher must neither wait for a measurement nor hold one up.
-            self._thread = ThreadPoolExecutor(1, "pictures", initializer=take_policy, initargs=("batch",))
         return await asyncio.get_running_loop().run_in_executor(self._thread, message, pair)
 
 
 def message(pair: StereoPair) -> bytes:
-    """The bytes of one pair."""
-    left, right = encoded(pair.left, pair.right)
-    return packed(pair.frame_id, pair.capture_ns, time.monotonic_ns(), left, right)
-
-
-def encoded(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[bytes, bytes]:
-    """Both eyes as JPEG, the right one at half its size."""
-    size = (round(right.shape[1] * _RIGHT_SCALE), round(right.shape[0] * _RIGHT_SCALE))
-    smaller = np.asarray(cv2.resize(right, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return _jpeg(left, _LEFT_QUALITY), _jpeg(smaller, _RIGHT_QUALITY)
-
-
-def packed(frame_id: int, capture_ns: int, encoded_ns: int, left: bytes, right: bytes) -> bytes:
-    """The message of two JPEG pictures; ``right`` is empty where there is none."""
-    length = HEADER.size - 4 + len(left) + len(right)
-    return HEADER.pack(length, capture_ns, encoded_ns, frame_id & 0xFFFFFFFF, len(left)) + left + right
-
-
-def _jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return bytes(data)
+    """The bytes of one pair: both eyes as JPEG, the right one at half its size."""
+    height, width = (round(side * _RIGHT_SCALE) for side in pair.right.shape)
+    smaller = cv2.resize(pair.right, (width, height), interpolation=cv2.INTER_AREA)
+    left, right = (
+        cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+        for picture, quality in ((pair.left, _LEFT_QUALITY), (smaller, _RIGHT_QUALITY))
+    )
+    now_ns, age_ns = time.monotonic_ns(), clock.now_ns() - pair.capture_ns  # the page goes by the wall
+    length, frame_id = HEADER.size - 4 + len(left) + len(right), pair.frame_id & 0xFFFFFFFF
+    return HEADER.pack(length, now_ns - age_ns, now_ns, frame_id, len(left)) + left + right
 
 
 _AFTER_TROUBLE_S = 0.25
@@ -150,8 +132,9 @@ class Broadcast:
 
 
 _STATE_PERIOD_S = 0.1
-_MOST_OF_STATE, _MOST_OF_PICTURES = 64, 16
+MOST_OF_STATE, _MOST_OF_PICTURES = 64, 16
 _OPERATIONS_SHOWN = 8
+_MEASURED_S = 1.0
 _TAG: list[Any] = ["console"]
 
 _PAGE = Path(__file__).with_name("page"), "/console", "/"
@@ -171,57 +154,68 @@ class AccessView(BaseModel):
 class Console:
     """What all open consoles share."""
 
-    def __init__(self, application: VisionApplication, operations: Operations, overview: Overview) -> None:
+    def __init__(
+        self,
+        application: VisionApplication,
+        operations: Operations,
+        overview: Overview,
+        titles: Mapping[str, str],
+        clock: Callable[[], JSON],
+    ) -> None:
+        """``titles``: of the programs, by name; ``clock``: as the API shows it."""
         self._application, self._operations, self._overview = application, operations, overview
+        self._titles, self._clock = titles, clock
         self._instance = uuid.uuid4().hex[:8]
         self._started_s = time.time()
         self._number = 0
         self._failed: set[str] = set()
-        self._pace = MeasuringPace()
+        self._measured_s = 0.0
         self._measuring: asyncio.Task[None] | None = None
         pictures = LivePictures(lambda after_ns: application.camera.pair_after(after_ns))
-        self.state = Broadcast(self._snapshot, _STATE_PERIOD_S, _MOST_OF_STATE, "the state")
+        self.state = Broadcast(self._snapshot, _STATE_PERIOD_S, MOST_OF_STATE, "the state")
         self.pictures = Broadcast(pictures.next_message, PICTURE_PERIOD_S, _MOST_OF_PICTURES, "the pictures")
 
     async def _snapshot(self) -> bytes:
         """The next event of the stream of state."""
-        seen, operations = glimpse(self._application), self._operations.list()[-_OPERATIONS_SHOWN:]
-        now_s = time.time()
-        self._overview.note(now_s, seen)
+        rig, operations = self._application, self._operations.list()[-_OPERATIONS_SHOWN:]
+        now_s, look, (state, _) = time.time(), rig.newest_look, session_state(rig)
+        self._overview.note(now_s, rig)
         self._note_failures(operations)
         if self.pictures.followers and (not operations or operations[-1].state.ended):
-            self._measure_when_due(now_s, seen.state)
+            self._measure_when_due(now_s)
         self._number += 1
         anew_s = self._overview.anew_at or 0.0
-        told = _predicted_end([each for each in operations if (each.ended_at or now_s) >= anew_s])
+        predicted = _predicted_end([each for each in operations if (each.ended_at or now_s) >= anew_s])
         document = {
             "number": self._number,
             "time": now_s,
             "service": {"instance": self._instance, "started_at": self._started_s},
             "watchers": self.state.followers,
-            "state": None if seen.state is None else arm_json(seen.state),
-            "operations": [_operation_json(each, bool(seen.overload)) for each in operations],
-            "told": told,
-            "looked_at": None if seen.look is None else now_s - _age_s(seen.look.look.time_ns),
-        } | self._overview.document(seen, ellipse_of(told))
+            "clock": self._clock(),
+            "state": None if state is None else arm_json(state),
+            "operations": [_operation_json(each, self._title(each)) for each in operations],
+            "told": predicted,
+            "looked_at": None if look is None else now_s - 1e-9 * (clock.now_ns() - look.look.time_ns),
+        } | self._overview.document(rig, predicted)
         data = json.dumps(document, separators=(",", ":"), allow_nan=False)
         return f"id: {self._number}\nevent: snapshot\ndata: {data}\n\n".encode()
+
+    def _title(self, operation: Operation) -> str:
+        return self._titles.get(operation.kind, operation.kind)
 
     def _note_failures(self, operations: list[Operation]) -> None:
         for operation in operations:
             if operation.problem is not None and operation.id not in self._failed:
                 ended_s = operation.ended_at or time.time()
                 problem = operation.problem
-                detail = f"{operation.kind}: {problem['detail']}"
+                detail = f"{self._title(operation)}: {problem['detail']}"
                 self._overview.alarms.happened(ended_s, str(problem["cause"]), detail)
         self._failed = {operation.id for operation in operations if operation.problem is not None}
 
-    def _measure_when_due(self, now_s: float, state: State | None) -> None:
+    def _measure_when_due(self, now_s: float) -> None:
         """Have markers looked for in the newest picture; while a program runs it does so."""
-        if self._measuring is not None and not self._measuring.done():
-            return
-        if self._pace.due(now_s, None if state is None else np.array(state.q_meas)):
-            self._measuring = asyncio.create_task(self._measure())
+        if (self._measuring is None or self._measuring.done()) and now_s - self._measured_s >= _MEASURED_S:
+            self._measured_s, self._measuring = now_s, asyncio.create_task(self._measure())
 
     async def _measure(self) -> None:
         with contextlib.suppress(LongreachError):
@@ -257,29 +251,21 @@ def add_console(app: FastAPI, console: Console, emulator_face: str = "") -> None
         size. A client that is slow skips pictures.
         """
         console.pictures.refuse_more()
-        return StreamingResponse(_endless(console.pictures), media_type="application/octet-stream")
-
-
-async def _endless(pictures: Broadcast) -> AsyncIterator[bytes]:
-    async for each in pictures.follow():
-        yield each
-
-
-def _age_s(captured_ns: int) -> float:
-    return 1e-9 * (time.monotonic_ns() - captured_ns)
+        return StreamingResponse(console.pictures.follow(), media_type="application/octet-stream")
 
 
 def _predicted_end(operations: list[Operation]) -> JSON | None:
     """What the newest operation told of where it would end; nothing once something else has moved the arm."""
     moving = [operation for operation in operations if operation.kind != "look"]
-    return told_by(moving[-1].kind, moving[-1].result) if moving else None
+    return predicted_by(moving[-1].kind, moving[-1].result) if moving else None
 
 
-def _operation_json(operation: Operation, overloaded: bool) -> JSON:
+def _operation_json(operation: Operation, title: str) -> JSON:
     cause = None if operation.problem is None else str(operation.problem["cause"])
     return {
         "id": operation.id,
         "kind": operation.kind,
+        "title": title,
         "state": operation.state.value,
         "request": operation.request,
         "progress": round(operation.progress, 4),
@@ -287,5 +273,5 @@ def _operation_json(operation: Operation, overloaded: bool) -> JSON:
         "started_at": operation.started_at,
         "ended_at": operation.ended_at,
         "cause": cause,
-        "advice": None if cause is None else advice(cause, overloaded),
+        "advice": None if cause is None else advice(cause),
     }

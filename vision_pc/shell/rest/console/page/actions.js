@@ -180,7 +180,7 @@ function whyNot(busy) {
   if (may === null) return 'the vision PC has not told yet who you are';
   if (!may) return 'you may look and stop: sign in to move the arm';
   if (!shot.state) return 'no word from the controller';
-  return busy ? `${rows.find(([step]) => step.kind === busy.kind)?.[0].words ?? busy.kind} is running` : '';
+  return busy ? `“${busy.title}” is running` : '';
 }
 
 function able(id, is, why) {
@@ -213,7 +213,7 @@ function showStep(step, line, busy, why, due) {
   const runs = busy && busy === last;
   const known = !step.aims || goal();
   const wants = step.calibrated && enabled() && !calibrated(step) ? 'step 2, Calibrate, comes first' : '';
-  able(`start-${step.kind}`, may && !busy && known && !wants && ready(step), why || wants || (ready(step) ? 'the targets are not known yet' : step.of ? `while ${step.of}` : WHY_NOT[shot.state.group_state]));
+  able(`start-${step.kind}`, may && !busy && known && !wants && ready(step), why || wants || (ready(step) ? 'the targets are not known yet' : WHY_NOT[shot.state.group_state]));
   byId(`start-${step.kind}`).classList.toggle('primary', due === step.kind);
   byId(`start-${step.kind}`).hidden = Boolean(runs);
   byId(`cancel-${step.kind}`).hidden = !runs || !may;
@@ -227,7 +227,6 @@ function showStep(step, line, busy, why, due) {
 
 /** Whether the group's state lets `step` begin. */
 function ready(step) {
-  if (step.of) return shot?.state?.group_state === step.of;
   return step.free ? shot?.state : enabled();
 }
 
@@ -285,12 +284,11 @@ function summary(kind, result) {
   if (kind === 'hand-eye-next') return `, ${result.off.mm.toFixed(1)} mm beside`;
   if (kind === 'hand-eye-sample') return `, sample ${result.count}: ±${result.std_mm.toFixed(2)} mm, ±${result.std_deg.toFixed(3)}°`;
   if (kind === 'hand-eye-solve') return `: ${result.verdict}`;
-  if (kind === 'valve-trials') return `: play of ${Object.keys(result.play_mrad).length} joints`;
   if (kind === 'visit') return `: ${visited(result.targets, worst)}`;
   if (kind === 'move') return `, ${result.miss_mm.toFixed(1)} mm beside`;
   if (result.look ?? result.error_mm) {
     const error = (result.look ?? result).error_mm;
-    return `: ${millimetres([error.x, error.y, error.z], 2)}${result.ended === 'contradicted' ? '. ▲ Odometry had the target elsewhere: does it move?' : ''}`;
+    return `: ${millimetres([error.x, error.y, error.z], 2)}${result.contradiction ? `. ▲ ${result.contradiction.detail}` : ''}`;
   }
   return '';
 }

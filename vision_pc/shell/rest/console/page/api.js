@@ -68,7 +68,7 @@ export function curl(method, path, body) {
   const parts = ['curl'];
   if (method !== 'GET') parts.push(`-X ${method}`);
   parts.push(isOurs(path) ? location.origin + path : path);
-  if (isOurs(path) && sessionStorage.getItem(KEY)) parts.push(`-H "Authorization: Bearer $(cat operate.token)"`);
+  if (isOurs(path) && sessionStorage.getItem(KEY)) parts.push(`-H "Authorization: Bearer $token"`);
   if (body !== undefined) parts.push(`-H 'content-type: application/json' -d '${JSON.stringify(body)}'`);
   return parts.join(' ');
 }

@@ -43,6 +43,8 @@ function showSnapshot(snapshot) {
   lastTrouble = null;
   if (answeredBy !== instance && !question) whoAmI();
   judge();
+  byId('clock').hidden = shot.clock.source !== 'plant' || !operate;
+  write(byId('clock'), shot.clock.goes === 'never' ? 'Let time go' : 'Hold time');
   showLadder(shot.state);
   showTrials(shot);
   showResume(shot);
@@ -145,6 +147,9 @@ installStop();
 installActions();
 installFurther();
 tellCurl(byId('stop'), () => ['POST', '/stop']);
+const clock = () => ['PUT', '/clock', { goes: shot?.clock.goes === 'never' ? 'always' : 'never' }];
+byId('clock').addEventListener('click', async () => say((await send(...clock())).words));
+tellCurl(byId('clock'), clock);
 installLayers();
 installHelp();
 installArm();

@@ -1,4 +1,4 @@
-// Guided hand-eye calibration and the trial of valves: programs that are wanted seldom, folded away.
+// Guided hand-eye calibration: programs that are wanted seldom, folded away.
 
 import { addSteps, button, say } from './actions.js';
 import { send } from './api.js';
@@ -17,20 +17,11 @@ const HAND_EYE = [
   { kind: 'hand-eye-solve', words: '4 Solve', verb: 'Solve', free: true },
   { kind: 'hand-eye-back', words: 'Back to the starting pose', verb: 'Drive back' },
 ];
-const VALVES = [{
-  kind: 'valve-trials', words: 'Try out all valves', verb: 'Try out', of: 'disabled',
-  request: () => {
-    if (byId('valves-safe').checked) return ['POST', '/operations/valve-trials', { confirmed: true }];
-    say('Confirm first that the tool is empty and nobody is within reach.', false);
-    return null;
-  },
-}];
 let ended = null; // the newest hand-eye step that has ended
 
 /** Makes the rows. */
 export function installFurther() {
   addSteps(HAND_EYE, byId('hand-eye-steps'));
-  addSteps(VALVES, byId('valve-steps'));
   const resume = button('Resume', named('/hand-eye/session/resume'), { id: 'hand-eye-resume' });
   attribute(resume, 'aria-label', 'Resume the session of this name');
   resume.addEventListener('click', () => setTimeout(tellSession, 500));

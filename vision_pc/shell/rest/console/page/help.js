@@ -10,7 +10,7 @@ const WORDS = {
   'h-jog': 'One straight move along an axis of the tool, the base or the camera.',
   'h-alarms': '▲ 1 act at once, ◆ 2 soon, ● 3 when there is time. A cause has one row; it ends two seconds after it was last seen.',
   'h-layers': 'Predicted place: where 95 of 100 drives end, told before the arm moved.',
-  'h-eye-words': 'Marker fit: how far the corners lie from where the pose puts them, on average; above 0.5 px something is wrong with light, print or camera.',
+  'h-eye-words': 'Residual: how far a marker’s corners lie from where the pose puts them, on average; above 0.5 px something is wrong with light, print or camera.',
 };
 
 /** A `?` that opens `sentence`. */

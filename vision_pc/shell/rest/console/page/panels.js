@@ -8,8 +8,7 @@ const TRIALS = {
     'What: one joint after another, to and fro, about 15 minutes in all. The controller was started for that (controller.excitation.enabled).',
     'How far: as shipped 3° a stroke (wrists 5°), 0.2 m at the tool; never more than 15°.',
     'Before: the tool must be empty, and nobody within reach.',
-    'To end it: STOP, Space or Esc closes all valves.',
-    '“Commissioning: valves” below does the same with odometry watching.'],
+    'To end it: STOP, Space or Esc closes all valves.'],
   moving: ['◆ The valves are being tried out, one joint after another', 'To end it: STOP, Space or Esc closes all valves.'],
   standby: ['The trial of the valves has ended, or was stopped',
     'Disable, then ENABLE goes on with the joint that was not finished.',
@@ -26,9 +25,8 @@ export function showChips(shot, stale, locked) {
     ['plant', !state ? 'unknown' : state.plant_link_ok ? 'answers' : 'silent', !state ? 0 : state.plant_link_ok ? 0 : 1],
     ['camera', shot.camera.trouble ? shot.camera.trouble.replace('link.camera_', '') : `${shot.camera.rate_hz.toFixed(1)} /s`, shot.camera.trouble ? 2 : 0],
     ['recording', shot.recording ? 'on' : 'FAILED', shot.recording ? 0 : 2],
-    ['machine', shot.overload ? 'overloaded' : 'keeps up', shot.overload ? 3 : 0],
-    ['link', shot.link.authenticated ? 'signed' : 'unsigned', 0],
-    ['consoles', String(shot.watchers), 0],
+    ['session', !state ? 'none' : shot.link.authenticated ? 'authenticated' : 'not authenticated', 0],
+    ['consoles', String(shot.watchers), 0], ...(shot.clock.source === 'plant' ? [['clock', ...pace(shot.clock)]] : []),
   ];
   const list = byId('chips');
   while (list.children.length > chips.length) list.lastChild.remove();
@@ -40,6 +38,9 @@ export function showChips(shot, stale, locked) {
     write(chip.lastChild, wrong ? `${MARKS[wrong]} ${value}` : value);
   });
 }
+
+const pace = ({ goes, pace: times, standing }) => standing ? [`stands: ${standing.waits_for} does not answer`, 1]
+  : goes === 'never' ? ['held', 3] : [`${times.toFixed(1)} × real time`, 0];
 
 /** The ladder; the present state is the one that is filled. */
 export function showLadder(state) {

@@ -4,11 +4,13 @@ import { byId, millimetres, write } from './dom.js';
 import { aimed } from './targets.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
+const STALE_MS = 500;
 const LOUPE = { mm: 30, least: 24, most: 160 }; // what it is wide, and its limits in pixels of the left eye
 let newest = null; // the left eye's bitmap
 let drawn = null; // the newest overlay
 let tolerance = 5; // mm
 let arrived = 0;
+let age = 0; // of the newest picture when it arrived, ms since its capture
 let fastest = []; // [when, delay] of deliveries: the clocks of page and vision PC differ by an unknown constant
 
 /** Shows one message of the stream. */
@@ -20,10 +22,9 @@ export async function showPicture(message) {
   newest?.close();
   newest = left;
   arrived = performance.now();
+  age = message.ageMs + late(message.encodedMs);
   paintLoupe();
-  byId('no-picture').hidden = true;
-  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(message.ageMs + late(message.encodedMs))} ms old`);
-  byId('left').dataset.captureMs = message.encodedMs - message.ageMs;
+  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(age)} ms old`);
   byId('left').dataset.frame = message.frame;
 }
 
@@ -35,13 +36,15 @@ function late(encodedMs) {
   return delay - fastest[0][1];
 }
 
-/** Says over the picture why there is no fresh one. */
+/** Says over the picture why there is none that was captured lately. */
 export function pictureAge(trouble) {
-  const old = performance.now() - arrived;
-  const silent = !arrived || old > 1000;
-  byId('no-picture').hidden = !silent;
-  if (silent && arrived) write(byId('frame-told'), `frame ${byId('left').dataset.frame} · ${(old / 1000).toFixed(0)} s old`);
-  if (silent) write(byId('no-picture'), arrived ? `▲ This picture is ${(old / 1000).toFixed(0)} s old. ${trouble ?? ''}` : trouble ?? 'Waiting for pictures');
+  const old = age + performance.now() - arrived;
+  const stale = !arrived || old > STALE_MS;
+  byId('no-picture').hidden = !stale;
+  if (!stale) return;
+  const seconds = `${(old / 1000).toFixed(old < 10_000 ? 1 : 0)} s old`;
+  if (arrived) write(byId('frame-told'), `frame ${byId('left').dataset.frame} · ${seconds}`);
+  write(byId('no-picture'), arrived ? `▲ This picture is ${seconds}. ${trouble ?? ''}` : trouble ?? 'Waiting for pictures');
 }
 
 function paint(canvas, bitmap) {
@@ -132,7 +135,7 @@ function words(overlay) {
   const target = aimed();
   const object = target?.known === 'lost' ? '▲ target lost' : target?.known === 'carried' && !overlay.object ? 'target carried by odometry'
     : of(target ? 'target' : 'object', overlay.object);
-  return `${of('tool', overlay.tool)} · ${object} · marker fit ${residual.toFixed(2)} px${error}`;
+  return `${of('tool', overlay.tool)} · ${object} · residual ${residual.toFixed(2)} px${error}`;
 }
 
 const open = (points) => `M${points.map((point) => point.join(' ')).join('L')}`;
