@@ -35,9 +35,12 @@ def sources_hash() -> str:
 
 
 def content_hash(path: Path) -> str:
-    """The hash of all files below a directory and its base, with their names."""
-    folders = [(folder, file) for folder in layers(path) for file in folder.rglob("*") if file.is_file()]
-    return _hash((str(file.relative_to(folder)), file) for folder, file in folders)
+    """The hash of all files below a directory and its base, with their names.
+
+    Without bytecode, which a worker writes that imports a program from beside its configuration.
+    """
+    files = ((folder, file) for folder in layers(path) for file in folder.rglob("*") if file.is_file())
+    return _hash((str(file.relative_to(folder)), file) for folder, file in files if file.suffix != ".pyc")
 
 
 def _hash(files: Iterable[tuple[str, Path]]) -> str:

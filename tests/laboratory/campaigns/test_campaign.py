@@ -147,6 +147,7 @@ def configured(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("edited", ["plant.yaml", "scenarios/one.yaml", "new.yaml"])
 def test_an_edited_configuration_file_measures_anew(tmp_path: Path, configured: Path, edited: str) -> None:
     rows = run_campaign(tmp_path, measured, tasks(1), configured, workers=0)
+    (configured / "program.cpython-311.pyc").write_bytes(b"written by a worker")
     assert run_campaign(tmp_path, measured, tasks(1), configured, scheduler=MEASURES) == rows
     (configured / edited).write_text("mass_kg: 2.0\n")
     with pytest.raises(ConfigurationError):
