@@ -1,44 +1,15 @@
 """The blocks of pages that ask running services, as they stand, against `longreach up`."""
 
-import re
-import signal
-import subprocess
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from tests.support.page_runner import API, documents, judge_rest_block, pasted, refusals, shell_blocks
-from tests.support.paths import CONFIGS
+from tests.support.page_runner import API, documents, judge_rest_block, pasted, refusals, shell_blocks, up
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow("minutes of motions"), pytest.mark.timeout(1800)]
 
 FAULTS = "http://127.0.0.1:8010"
 WITHIN_S = 1500.0
-
-
-@contextmanager
-def up(folder: Path, *options: str) -> Iterator[tuple[str, str]]:
-    """The addresses, REST and faults, of a testbed that `longreach up` has started."""
-    words = [sys.executable, "-u", "-m", "longreach", "up", "--free-ports", "--config-dir", str(CONFIGS)]
-    words += ["--pace", "0", "--allow-faults", *options, "--out", str(folder / "runs")]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    reader = threading.Thread(target=process.stdout.read)
-    try:
-        found: dict[str, str] = {}
-        while "REST API" not in found:
-            found |= dict(re.findall(r"([\w ]+): (http://127\.0\.0\.1:\d+)", next(process.stdout)))
-        reader.start()
-        yield found["REST API"], found["faults"]
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(timeout=30.0)
-        reader.join(10.0)
-        process.stdout.close()
 
 
 def test_the_blocks_of_rest_and_faults_work_against_up(tmp_path: Path) -> None:

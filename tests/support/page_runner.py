@@ -3,12 +3,17 @@
 import json
 import os
 import re
+import signal
 import subprocess
-from collections.abc import Mapping
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from tests.support.pages import page
+from tests.support.paths import CONFIGS
 from tools.printed import NUMBER, blocks
 
 API = "http://127.0.0.1:8000"
@@ -17,6 +22,27 @@ API = "http://127.0.0.1:8000"
 def shell_blocks(name: str) -> list[str]:
     """The shell blocks of docs/``name``, in their order."""
     return [block.text for block in blocks(page(name)) if block.language in ("", "sh")]
+
+
+@contextmanager
+def up(folder: Path, *options: str) -> Iterator[tuple[str, str]]:
+    """The addresses, REST and faults, of a testbed that `longreach up` has started."""
+    words = [sys.executable, "-u", "-m", "longreach", "up", "--free-ports", "--config-dir", str(CONFIGS)]
+    words += ["--pace", "0", "--allow-faults", *options, "--out", str(folder / "runs")]
+    process = subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    reader = threading.Thread(target=process.stdout.read)
+    try:
+        found: dict[str, str] = {}
+        while "REST API" not in found:
+            found |= dict(re.findall(r"([\w ]+): (http://127\.0\.0\.1:\d+)", next(process.stdout)))
+        reader.start()
+        yield found["REST API"], found["faults"]
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=30.0)
+        reader.join(10.0)
+        process.stdout.close()
 
 
 def pasted(
