@@ -91,14 +91,15 @@ def run_directory(runs: Path) -> Iterator[Path]:
     One that holds nothing else at the end is removed. Raises ConfigurationError where none can be made.
     """
     is_new = not runs.exists()
+    began = json.dumps(beginning(), indent=2) + "\n"  # takes its time: Ctrl-C would leave an empty directory
     directory = _new_directory(runs)
     record = directory / "run.json"
-    record.write_text(json.dumps(beginning(), indent=2) + "\n", encoding="utf-8")
 
     def has_results() -> bool:
         return any(path.is_file() and path != record for path in directory.rglob("*"))
 
     try:
+        record.write_text(began, encoding="utf-8")
         with kept_on_ctrl_c(lambda: f"what was recorded is kept in {directory}" if has_results() else ""):
             yield directory
     finally:
