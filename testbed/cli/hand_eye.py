@@ -118,7 +118,7 @@ def compare(source: SampleSource, json_file: JsonFile = None) -> None:
 @app.command(epilog="Example: longreach hand-eye intrinsics left*.jpg --columns 9 --rows 6 --square-mm 25")
 @unfolded
 def intrinsics(
-    pictures: Annotated[list[Path], typer.Argument(help="Pictures of one board, all of one size.")],
+    pictures: Annotated[list[Path], typer.Argument(help="Of one board, all of one size; or directories.")],
     board: PicturedBoard,
     detector: Annotated[Detector, typer.Option(help="How corners are found.")] = Detector.FITTED,
     json_file: JsonFile = None,

@@ -20,7 +20,7 @@ from vision_pc.core.hand_eye.solvers import judgement
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.board_finder import second_finders
 from vision_pc.shell.cameras.directory import read_grey
-from vision_pc.shell.cameras.picture_files import pictures_in
+from vision_pc.shell.cameras.picture_files import pictures_in, pictures_of
 
 
 def _samples(source: SampleSource) -> PosePairs:
@@ -86,7 +86,7 @@ def run_intrinsics_of_pictures(
     files: list[Path], board: PicturedBoard, detector: Detector, json_file: Path | None
 ) -> None:
     """Print the camera's intrinsics."""
-    read, left_out = read_each(files, read_grey)
+    read, left_out = read_each(pictures_of(files), read_grey)
     pictures = [(file.stem, image) for file, image in read]
     sizes = {image.shape for _, image in pictures}
     if len(sizes) != 1:

@@ -237,9 +237,10 @@ def odometry(
     epilog="Example: longreach markers left.png --right right.png --number 1 --number 2 --out seen",
 )
 def markers(
-    pictures: Annotated[list[Path], typer.Argument(metavar="PICTURE…", help="Pictures of one eye.")],
+    pictures: Annotated[list[Path], typer.Argument(metavar="PICTURE…", help="Of one eye, or directories.")],
     right: Annotated[
-        list[Path] | None, typer.Option(help="The right eye's, in the same order; repeatable.")
+        list[Path] | None,
+        typer.Option(help="The right eye's, in the same order; repeatable."),
     ] = None,
     dictionary: Annotated[
         str, typer.Option(help="As in markers.dictionary of vision.yaml.")

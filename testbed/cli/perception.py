@@ -19,6 +19,7 @@ from vision_pc.core.perception.unread_markers import other_reading
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.picture_files import matched_pictures, pictures_of
 from vision_pc.shell.cameras.sequence import (
     PairRecord,
     Recorded,
@@ -135,10 +136,12 @@ def run_markers(
     Raises ConfigurationError for an unknown dictionary, unreadable pictures and pairs that are none.
     """
     requested = frozenset(numbers)
+    pictures, right, unpaired = _given(pictures, right)
     rows: list[tuple[str, ...]] = []
     figures: list[dict[str, object]] = []
     readable, notes = _checked(pictures, right, dictionary)
     complete = not notes
+    notes += unpaired
     for (path, twin), (image, twin_image) in readable:
         found = _detect_in_picture(path, image, dictionary, requested, directory, notes)
         other = _detect_in_picture(twin, twin_image, dictionary, requested, directory, notes) if right else []
@@ -158,6 +161,17 @@ def run_markers(
     answer = {"dictionary": dictionary, "pictures": figures, "notes": notes, "complete": complete}
     write_json(json_file, answer)
     return complete
+
+
+def _given(pictures: list[Path], right: list[Path]) -> tuple[list[Path], list[Path], list[str]]:
+    """The pictures of either eye, pairs in the same order, and what has no partner: directories are paired by
+    the names in them, as a sequence is. Raises ConfigurationError.
+    """
+    lefts, rights = pictures_of(pictures), pictures_of(right)
+    if not any(path.is_dir() for path in right):
+        return lefts, rights, []
+    chosen, notes = matched_pictures(lefts, rights)
+    return [lefts[i] for i, _ in chosen], [rights[j] for _, j in chosen], notes
 
 
 def _checked(

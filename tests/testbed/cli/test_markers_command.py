@@ -67,10 +67,11 @@ def test_every_size_that_opencv_has_of_a_family_is_known(name: str, tmp_path: Pa
     assert result.exit_code == 0, result.output
 
 
-def test_a_pair_is_listed_drawn_and_written(tmp_path: Path) -> None:
-    left, right = tmp_path / "left.png", tmp_path / "right.png"
-    cv2.imwrite(str(left), picture({3: (60.0, 30.0, 40.0)}))
-    cv2.imwrite(str(right), picture({3: (51.5, 30.0, 40.0)}))
+def test_directories_are_paired_by_name_listed_drawn_and_written(tmp_path: Path) -> None:
+    left, right = tmp_path / "left", tmp_path / "right"
+    for file, x in ((left / "7.png", 60.0), (left / "8.png", 60.0), (right / "8.png", 51.5)):
+        file.parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(file), picture({3: (x, 30.0, 40.0)}))
     told = tmp_path / "markers.json"
     options = [
         "--dictionary",
@@ -84,7 +85,8 @@ def test_a_pair_is_listed_drawn_and_written(tmp_path: Path) -> None:
     ]
     result = CliRunner().invoke(app, ["markers", str(left), *map(str, options)])
     assert result.exit_code == 0, result.output
-    seen = json.loads(told.read_text())["pictures"][0]
+    assert "without a partner: 1 pictures of the left eye and 0 of the right one (7.png)" in result.output
+    (seen,) = json.loads(told.read_text())["pictures"]
     apart = np.array(seen["markers"][0]["corners_px"]) - seen["right_markers"][0]["corners_px"]
     np.testing.assert_allclose(apart.mean(axis=0), [8.5, 0.0], atol=0.1)
     assert len(list((tmp_path / "drawn").iterdir())) == 2

@@ -47,6 +47,13 @@ def pictures_in(directory: Path) -> list[Path]:
     return sorted(found, key=order_of_name)
 
 
+def pictures_of(paths: Sequence[Path]) -> list[Path]:
+    """The files among ``paths``, each directory's pictures in its place. Raises ConfigurationError as
+    ``pictures_in``.
+    """
+    return [file for path in paths for file in (pictures_in(path) if path.is_dir() else [path])]
+
+
 def eye_files(left: Path, right: Path, rate_hz: float) -> EyeFiles:
     """The pairs of two directories and their times.
 
