@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.clock_offset import ClockOffset
+from protocol.clock_offset import ClockOffset, HeartbeatTracker
+from protocol.reference_messages import HeartbeatReply
 
 US = 1000
 MS = 1_000_000
@@ -104,3 +105,15 @@ def test_an_echo_that_came_back_before_it_left_is_refused() -> None:
     assert not clock.add(100, 50, 60, 90)
     assert not clock.add(100, 60, 50, 200)
     assert clock.estimate(200) is None
+
+
+def test_each_heartbeat_is_answered_once_and_an_echo_apart_from_the_others_is_dropped() -> None:
+    tracker = HeartbeatTracker(500 * MS, 0)
+    causes = []
+    for at_ns, offset_ns in ((0, 0), (0, 0), (10 * MS, 0), (20 * MS, 3600 * S)):
+        if at_ns or not causes:
+            tracker.sent(at_ns)
+        received_ns = at_ns + MS + offset_ns
+        dropped = tracker.returned(HeartbeatReply(at_ns, received_ns, received_ns), at_ns + 2 * MS)
+        causes.append(dropped and dropped.cause)
+    assert causes == [None, "clock.unexpected_echo", None, "clock.outlier"]

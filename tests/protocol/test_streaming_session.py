@@ -10,6 +10,8 @@ from protocol.pose import Pose
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
     Command,
+    ReferencePath,
+    ReferencePose,
     StreamedPose,
     StreamRefused,
 )
@@ -87,6 +89,14 @@ def test_commands_of_streams_need_the_capability_on_both_sides(code: CommandCode
     wire.give_server(encode(Command(5, code), Header(wire.server.session or 0, 1000, wire.now_ns)))
     answers = [decode(data).message for data, _ in wire.server.outgoing(wire.server_ns)]
     assert [getattr(answer, "reason", None) for answer in answers] == [Reason.NOT_NEGOTIATED]
+
+
+def test_a_pose_and_a_stop_need_no_capability() -> None:
+    wire = Wire(server=a_server(capabilities=0)).connect()
+    for request in (ReferencePose(0, POSE, 0.0), Command(0, CommandCode.STOP)):
+        wire.client.submit(request, wire.now_ns)
+    with pytest.raises(RequestRefused, match="takes no ReferencePath"):
+        wire.client.submit(ReferencePath(0, (POSE,), 0.0, 0.0), wire.now_ns)
 
 
 def test_a_reference_needs_a_session_and_must_fit_its_fields() -> None:
