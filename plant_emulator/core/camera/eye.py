@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.config.camera import CameraConfig
-from plant_emulator.core.camera import panel_painter, rasteriser, rays
+from plant_emulator.core.camera import rasteriser, rays
 from plant_emulator.core.camera.exposures import Capture
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.rays import Lens
@@ -217,12 +217,8 @@ class Eye:
         for one in placed(group.rims, X_EPs, self.lens, self._size, self._widest):
             plate = group.plates[one.number]
             surface = self._surface(group, one, X_OPs[one.number], edge_m)
-            if plate.levels:
-                panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
-                panel_painter.paint_panel(picture, self._rays, one.homographies, panel, one.box, surface)
-            else:
-                grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
-                rasteriser.paint_plate(picture, self._rays, one.homographies, grid, one.box, surface)
+            grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
+            rasteriser.paint_plate(picture, self._rays, one.homographies, grid, one.box, surface)
 
     def _surface(self, group: Sheets, one: Placed, X_OP: Matrix, edge_m: float) -> rays.Surface:
         plate, eye_P, lighting = group.plates[one.number], one.eye_P, self._scene.config.lighting

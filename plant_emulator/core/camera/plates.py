@@ -1,26 +1,22 @@
-"""Flat plates, of which everything visible but the wall is made: grids of cells, or printed pictures; and
-where they appear in one eye's picture, all those of a parent at once.
+"""Plates of cells, of which everything visible but the wall is made, and where they appear in one eye's
+picture, all those of a parent at once.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.core.camera.fetching import Pairs, pairs_of
 from plant_emulator.core.camera.rays import Lens, Optics, projected
 
-Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 Pixels = NDArray[np.int64]
 
 Box = tuple[int, int, int, int]
 Span = tuple[int, int]
 
-_COARSEST_TEXELS = 8
 _RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
 _NEAREST_M = 0.02
 _ASIDE = 1.05  # of the widest rays: farther aside nothing is seen, not even a rim
@@ -51,13 +47,12 @@ FLAT = Bend()
 
 
 class Plate(NamedTuple):
-    """A flat or slightly bent rectangle painted with a grid of uniform cells, or with a picture.
+    """A flat or slightly bent rectangle painted with a grid of uniform cells.
 
     ``X_parent_plate``: pose in the parent (O for the wall's markers, M for what the tool carries), x right, y
     up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
     counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
-    lighting gradient applies. ``levels``: the picture that fills the rectangle instead of ``grey``, and its
-    mip levels, each half as fine as the one before; always flat and matt. ``glossy``: a lamp is mirrored.
+    lighting gradient applies. ``glossy``: a lamp is mirrored.
     """
 
     X_parent_plate: Matrix
@@ -65,7 +60,6 @@ class Plate(NamedTuple):
     edges_y: Matrix
     grey: NDArray[np.float32]
     lit_by_wall: bool
-    levels: tuple[Pairs, ...] = ()
     bend: Bend = FLAT
     glossy: bool = False
 
@@ -86,15 +80,6 @@ def grid_plate(X_parent_plate: Matrix, cell_m: float, grey: NDArray[np.float32],
     """A plate of square cells of ``cell_m``, its middle at the origin of its pose."""
     edges_y, edges_x = (np.arange(count + 1) * cell_m - 0.5 * count * cell_m for count in grey.shape)
     return Plate(X_parent_plate, edges_x, edges_y, grey, lit_by_wall)
-
-
-def halved(picture: Grey, count: int) -> tuple[Pairs, ...]:
-    """``count`` mip levels of ``picture``, itself the first, each with its lower neighbours."""
-    levels = [picture]
-    for _ in range(count - 1):
-        coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        levels.append(np.asarray(coarser, dtype=np.uint8))
-    return tuple(pairs_of(level) for level in levels)
 
 
 class Sheets(NamedTuple):
