@@ -37,17 +37,15 @@ def starting_noise(rotation: float, translation: float, both: bool = False) -> N
     return Noise(share * rotation, share * translation, share * rotation, share * translation)
 
 
-def estimated(
-    equations: Equations, X: Array, Z: Array, noise: Noise, both: bool = True
-) -> tuple[Estimate, Noise]:
-    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of camera and robot, or of the camera
-    alone, that its residuals show.
+def estimated(equations: Equations, X: Array, Z: Array, noise: Noise) -> tuple[Estimate, Noise]:
+    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of camera and robot that its residuals
+    show.
 
     ``noise`` gives the size from which to search. Under 5 samples all of it is taken as the camera's, and the
     ratio of rotation to translation is kept.
     """
     samples = int((equations.weights > 0.5).sum())
-    both = both and samples >= _FOR_RATIO
+    both = samples >= _FOR_RATIO
     size, shift = USUAL_RATIO
     if samples >= _FOR_RATIO:
         size = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
