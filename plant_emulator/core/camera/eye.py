@@ -15,7 +15,7 @@ from plant_emulator.core.camera.exposures import Capture
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.rays import Lens
 from plant_emulator.core.camera.scene import Cover, Scene
-from plant_emulator.core.camera.surroundings import NO_GLARE, glare_on, shadow_on
+from plant_emulator.core.camera.surroundings import shadow_on
 from plant_emulator.core.camera.wall import bores, wall_painter
 from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -221,13 +221,12 @@ class Eye:
             rasteriser.paint_plate(picture, self._rays, one.homographies, grid, one.box, surface)
 
     def _surface(self, group: Sheets, one: Placed, X_OP: Matrix, edge_m: float) -> rays.Surface:
-        plate, eye_P, lighting = group.plates[one.number], one.eye_P, self._scene.config.lighting
+        plate, eye_P = group.plates[one.number], one.eye_P
         curve, across, up = plate.bend
         return rays.Surface(
             group.lights[one.number],
             np.array([curve, across, -up, eye_P[0], -eye_P[1], eye_P[2]]),
-            shadow_on(lighting.shadow, X_OP, edge_m),
-            glare_on(lighting.glare, X_OP, eye_P) if plate.glossy else NO_GLARE,
+            shadow_on(self._scene.config.lighting.shadow, X_OP, edge_m),
         )
 
 

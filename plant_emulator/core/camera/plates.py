@@ -50,7 +50,7 @@ class Plate(NamedTuple):
     ``X_parent_plate``: pose in the parent (O for the wall's markers, M for what the tool carries), x right, y
     up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
     counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
-    lighting gradient applies. ``glossy``: a lamp is mirrored.
+    lighting gradient applies.
     """
 
     X_parent_plate: Matrix
@@ -59,7 +59,6 @@ class Plate(NamedTuple):
     grey: NDArray[np.float32]
     lit_by_wall: bool
     bend: Bend = FLAT
-    glossy: bool = False
 
 
 def plain_plate(

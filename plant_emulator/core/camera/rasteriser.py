@@ -18,7 +18,6 @@ from plant_emulator.core.camera.rays import (
     Surface,
     bent,
     fetch_rays,
-    highlight,
     meet_plate,
     places_on_plate,
     row_homography,
@@ -76,7 +75,7 @@ def _paint_rows(
     surface: Surface,
     room: _Room,
 ) -> None:
-    light, bend, shadow, glare = surface
+    light, bend, shadow = surface
     edges_x, edges_y, grey = grid
     top, bottom, left, right = box
     h, places = room.h, room.places
@@ -95,9 +94,9 @@ def _paint_rows(
             if _beyond(s, reach_s, edges_x) or _beyond(t, reach_t, edges_y):
                 continue
             column, row = _first_cell(edges_x, s - reach_s, column), _first_cell(edges_y, t - reach_t, row)
-            lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), highlight(s, t, glare)
+            lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow)
             if _within(s, reach_s, edges_x, column) and _within(t, reach_t, edges_y, row):
-                value = grey[row, column] * lit[0] + lit[1]
+                value = grey[row, column] * lit
             else:
                 at, under = meet_plate(rays, h, i, left + k), np.float64(out[i, left + k])
                 value = _blended(at, (s, t), grid, room, (column, row), lit, under)
@@ -140,7 +139,7 @@ def _blended(
     grid: Grid,
     room: _Room,
     cell: tuple[int, int],
-    lit: tuple[float, float],
+    lit: float,
     under: float,
 ) -> float:
     """The grey of a pixel where cells, or the plate and what is ``under`` it, meet; ``cell`` is a guess."""
@@ -149,7 +148,7 @@ def _blended(
     s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
     column, row = _first_cell(edges_x, s - s_reach, cell[0]), _first_cell(edges_y, t - t_reach, cell[1])
     if _within(s, s_reach, edges_x, column) and _within(t, t_reach, edges_y, row):
-        return float(grey[row, column] * lit[0] + lit[1])
+        return float(grey[row, column] * lit)
     last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
     last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
     total = alpha = 0.0
@@ -157,7 +156,7 @@ def _blended(
         for m in range(column, last_column):
             alpha += weight_y[k] * weight_x[m]
             total += weight_y[k] * weight_x[m] * grey[k, m]
-    return total * lit[0] + alpha * lit[1] + (1.0 - alpha) * under
+    return total * lit + (1.0 - alpha) * under
 
 
 @allocation_free(inline="always")

@@ -23,7 +23,6 @@ Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
 Noise = NDArray[np.int16]
 
-_NAMES = ("left", "right")
 _WHITE = 255
 _LEAST_GAIN, MOST_GAIN = 0.25, 8.0  # [E]
 
@@ -61,7 +60,7 @@ class AutoExposure:
 class Imager:
     """What one eye's lens and sensor make of the light: ``centre`` (2,) px of its vignetting."""
 
-    def __init__(self, config: CameraConfig, eye: int, centre: NDArray[np.float64], noise: Noise) -> None:
+    def __init__(self, config: CameraConfig, centre: NDArray[np.float64], noise: Noise) -> None:
         self._noise = noise
         self._centre = (float(centre[0]), float(centre[1]))
         self._falloff = config.vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
@@ -69,17 +68,13 @@ class Imager:
         levels = np.arange(_WHITE + 2) / _WHITE
         self._response = (_WHITE * np.minimum(levels, 1.0) ** config.response_gamma).astype(np.float32)
         self._straight = config.response_gamma == 1.0
-        self._dirt = _dirt(config, _NAMES[eye])
 
     def expose(self, picture: Grey, key: int, gain: float) -> None:
         """Turn the light in ``picture`` into grey levels, in place; ``key`` chooses the noise."""
-        if self._straight and self._dirt is None:
+        if self._straight:
             self.sense(picture, key, gain, self._falloff)
             return
-        height, width = picture.shape
-        passed, added = self._dirt or (np.ones((1, 1), np.float32), np.zeros((1, 1), np.float32))
-        passed, added = (np.broadcast_to(part, (height, width)) for part in (passed, added))
-        _expose(picture, passed, added, gain, self._falloff, self._centre, self._response)
+        _expose(picture, gain, self._falloff, self._centre, self._response)
         self.sense(picture, key, 1.0, 0.0)
 
     def sense(self, picture: Grey, key: int, gain: float, falloff: float) -> None:
@@ -88,38 +83,17 @@ class Imager:
             rasteriser.finish(picture, self._noise, key, gain, falloff, *self._centre)
 
 
-def _dirt(config: CameraConfig, eye: str) -> tuple[Real32, Real32] | None:
-    """The shares of light (height, width) that the dirt on this eye lets pass, and the grey that it adds."""
-    spots = [spot for spot in config.dirt if spot.eye == eye]
-    if not spots:
-        return None
-    v, u = np.mgrid[0 : config.height_px, 0 : config.width_px]
-    passed, added = np.ones(v.shape), np.zeros(v.shape)
-    for spot in spots:
-        far = ((u - spot.centre_px[0]) ** 2 + (v - spot.centre_px[1]) ** 2) / spot.radius_px**2
-        cover = np.exp(-0.5 * far)
-        passed *= 1.0 - (1.0 - spot.transmission) * cover
-        added += spot.scatter_grey * cover
-    return passed.astype(np.float32), added.astype(np.float32)
-
-
 @kernel(nogil=True)
 def _expose(
-    picture: Grey,
-    passed: Real32,
-    added: Real32,
-    gain: float,
-    falloff: float,
-    centre: tuple[float, float],
-    response: Real32,
+    picture: Grey, gain: float, falloff: float, centre: tuple[float, float], response: Real32
 ) -> None:
-    """Dirt, vignetting, gain, saturation and response curve, in place."""
+    """Vignetting, gain, saturation and response curve, in place."""
     black, white, half = np.float32(0.0), np.float32(_WHITE), np.float32(0.5)
     for i in range(picture.shape[0]):
-        row, passes, adds, vertical = picture[i], passed[i], added[i], (i - centre[1]) ** 2
+        row, vertical = picture[i], (i - centre[1]) ** 2
         for j in range(row.shape[0]):
             r2 = (j - centre[0]) ** 2 + vertical
-            falls = (row[j] * passes[j] + adds[j]) * np.float32(gain * (1.0 - falloff * r2))
+            falls = row[j] * np.float32(gain * (1.0 - falloff * r2))
             light = np.float32(min(max(falls, black), white))
             k = np.intp(light)
             part = light - np.float32(k)
@@ -150,7 +124,7 @@ class StereoCamera:
         generator = np.random.default_rng((seed, _NOISE_STREAM))
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
         noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
-        self._imagers = [Imager(config, k, eye.lens.centre, noise) for k, eye in enumerate(self.eyes)]
+        self._imagers = [Imager(config, eye.lens.centre, noise) for eye in self.eyes]
         self._exposure = AutoExposure(config.auto_exposure)
 
     def render(

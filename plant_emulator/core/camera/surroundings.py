@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.camera import GlareConfig, ShadowConfig
+from plant_emulator.config.camera import ShadowConfig
 from plant_emulator.config.surroundings import (
     BlockConfig,
     PasserConfig,
@@ -18,7 +18,6 @@ from plant_emulator.core.mechanics.geometry import rotation_from_vector, transfo
 Array = NDArray[np.float64]
 
 NO_SHADOW = np.array([0.0, 0.0, 0.0, 1.0])
-NO_GLARE = np.zeros(4)
 
 
 def shadow_on(config: ShadowConfig, X_OP: Array, edge_m: float) -> Array:
@@ -32,21 +31,6 @@ def shadow_on(config: ShadowConfig, X_OP: Array, edge_m: float) -> Array:
     right, up, origin = (normal @ X_OP[:2, column] for column in (0, 1, 3))
     beyond = np.array([right, -up, origin - edge_m]) / config.penumbra_m
     return np.append(beyond, config.factor)
-
-
-def glare_on(config: GlareConfig, X_OP: Array, eye_P: Array) -> Array:
-    """(place right, down (m), half the inverse variance, grey) of the highlight on a plate at X_OP (4x4).
-
-    ``eye_P`` (3,): the eye in the plate's axes. A mirror shows the lamp where the way there and on to the
-    eye is shortest.
-    """
-    if config.strength_grey == 0.0:
-        return NO_GLARE
-    lamp_P = X_OP[:3, :3].T @ (np.array(config.lamp_m) - X_OP[:3, 3])
-    if lamp_P[2] <= 0.0 or eye_P[2] <= 0.0:
-        return NO_GLARE
-    x, y = (eye_P[:2] * lamp_P[2] + lamp_P[:2] * eye_P[2]) / (lamp_P[2] + eye_P[2])
-    return np.array([x, -y, 0.5 / config.width_m**2, config.strength_grey])
 
 
 Grey = NDArray[np.uint8]
