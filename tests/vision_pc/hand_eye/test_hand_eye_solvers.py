@@ -14,7 +14,7 @@ from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.classical import dqcr, forms
+from vision_pc.core.hand_eye.solvers.classical import dqcr
 from vision_pc.core.hand_eye.solvers.motions import Motions, dual_quaternions
 
 
@@ -112,4 +112,4 @@ def test_signs_agree_near_a_half_turn() -> None:
     g = stacks.quaternion_from_rotation(X[:3, :3])
     mismatch = np.linalg.norm(dual.rotation_rows() @ g, axis=-1)
     assert mismatch.max() < 0.02  # a wrong sign gives 2
-    assert se3.angle_between(dqcr(forms(dual))[0][:3, :3], X[:3, :3]) < 0.01
+    assert se3.angle_between(dqcr(dual)[0][:3, :3], X[:3, :3]) < 0.01

@@ -7,7 +7,7 @@ or an error.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -123,20 +123,7 @@ def _translation(motions: Motions, R: Array) -> Array:
     return np.asarray(np.linalg.lstsq(rows, right, rcond=None)[0])
 
 
-class Forms(NamedTuple):
-    """The quadratic forms of DQCR's two problems over g and g': Σ RᵀR and Σ RᵀD, (4, 4) each."""
-
-    RR: Array
-    RD: Array
-
-
-def forms(motions: DualQuaternions) -> Forms:
-    """The quadratic forms of these motions."""
-    R, D = motions.rotation_rows(), motions.dual_rows()
-    return Forms(*(np.einsum("mij,mik->jk", R, second) for second in (R, D)))
-
-
-def dqcr(f: Forms) -> tuple[Array, Certificate]:
+def dqcr(motions: DualQuaternions) -> tuple[Array, Certificate]:
     """X (4, 4) by DQCR's two problems in closed form, and the certificate of problem 1.
 
     With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i =
@@ -144,14 +131,16 @@ def dqcr(f: Forms) -> tuple[Array, Certificate]:
     g‖² with gᵀg' = 0 (Hua et al. 2024, section 4.2). The first is a 4×4 eigenvalue problem and the second
     one of linear least squares, so the published moment relaxations are tight and have the same answer.
     """
-    values, vectors = np.linalg.eigh(f.RR)
+    R, D = motions.rotation_rows(), motions.dual_rows()
+    RR, RD = (np.einsum("mij,mik->jk", R, second) for second in (R, D))
+    values, vectors = np.linalg.eigh(RR)
     g = vectors[:, 0]
-    scale = float(np.trace(f.RR)) / 4.0
+    scale = float(np.trace(RR)) / 4.0
     system = np.zeros((5, 5))
-    system[:4, :4] = f.RR / scale
+    system[:4, :4] = RR / scale
     system[:4, 4] = system[4, :4] = g
-    g_dual = np.linalg.solve(system, np.append(-f.RD @ g / scale, 0.0))[:4]
-    S = f.RR - values[0] * np.eye(4)
+    g_dual = np.linalg.solve(system, np.append(-RD @ g / scale, 0.0))[:4]
+    S = RR - values[0] * np.eye(4)
     least, largest = float(np.linalg.eigvalsh(S)[0]), float(values[-1])
     certificate = Certificate(
         "eigenvalue problem, KKT", least / largest, float(np.abs(S @ g).max()) / largest, 0.0, rank=1
