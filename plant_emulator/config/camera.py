@@ -127,23 +127,11 @@ class StampsConfig(StrictModel):
     jitter_ms: float = Field(default=0.0, ge=0.0, le=50.0)
 
 
-class AutoExposureConfig(StrictModel):
-    """The servo of both eyes' gain: it brings the left picture's mean, before the response curve, to
-    ``mean_grey``.
-
-    The gain follows what it should be with ``time_constant_s``.
-    """
-
-    enabled: bool = False
-    mean_grey: float = Field(default=110.0, ge=5.0, le=250.0)
-    time_constant_s: float = Field(default=0.3, ge=0.01, le=60.0)
-
-
 class CameraConfig(StrictModel):
     """The stereo camera as it really is. Vision is told other, nominal numbers.
 
     ``lens`` is the left eye's. ``response_gamma``: white times (light / white) to that power is the grey;
-    ``exposure_gain`` is how bright the scene is before ``auto_exposure`` meters it.
+    ``exposure_gain``: how bright the scene is.
     """
 
     width_px: int = Field(default=1280, ge=64, le=4096)
@@ -158,7 +146,6 @@ class CameraConfig(StrictModel):
     blur_px: float = Field(default=0.0, ge=0.0, le=5.0)
     noise_grey: float = Field(default=0.0, ge=0.0, le=50.0)
     exposure_gain: float = Field(default=1.0, ge=0.0, le=16.0)
-    auto_exposure: AutoExposureConfig = AutoExposureConfig()
     response_gamma: float = Field(default=1.0, ge=0.2, le=3.0)
     vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
     shutter: ShutterConfig = ShutterConfig()

@@ -1,6 +1,5 @@
 """The stereo camera as it truly is: renders what its two eyes see, and projects points exactly."""
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.config.camera import AutoExposureConfig, CameraConfig
+from plant_emulator.config.camera import CameraConfig
 from plant_emulator.config.surroundings import WallConfig
 from plant_emulator.core.camera import rasteriser
 from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, Capture, Shot
@@ -24,37 +23,6 @@ Real32 = NDArray[np.float32]
 Noise = NDArray[np.int16]
 
 _WHITE = 255
-_LEAST_GAIN, MOST_GAIN = 0.25, 8.0  # [E]
-
-
-class AutoExposure:
-    """The servo that keeps pictures as bright as wanted; both eyes share it.
-
-    Its gain depends on the pictures before: it is deterministic for the sequence of them.
-    """
-
-    def __init__(self, config: AutoExposureConfig) -> None:
-        self._config = config
-        self._time_ns: int | None = None
-        self._gain = 1.0
-
-    def gain(self, picture: Grey, brightness: float, capture_ns: int) -> float:
-        """The gain of ``capture_ns``; the first picture that shows a new capture moves the servo.
-
-        ``picture`` times ``brightness`` is the light that it meters.
-        """
-        config = self._config
-        if not config.enabled or capture_ns == self._time_ns:
-            return self._gain
-        target_gain = config.mean_grey / max(brightness * float(picture.mean()), 1.0)
-        target_gain = min(max(target_gain, _LEAST_GAIN), MOST_GAIN)
-        if self._time_ns is None or capture_ns < self._time_ns:
-            self._gain = target_gain  # it has been running since long before
-        else:
-            share = 1.0 - math.exp(-1e-9 * (capture_ns - self._time_ns) / config.time_constant_s)
-            self._gain *= (target_gain / self._gain) ** share
-        self._time_ns = capture_ns
-        return self._gain
 
 
 class Imager:
@@ -107,8 +75,7 @@ _NOISE_STREAM = 0x6E6F697365
 
 
 class StereoCamera:
-    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id),
-    with auto exposure for the sequence of pictures.
+    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id).
 
     Poses are 4x4: ``X_WC`` of the left eye and ``X_WM`` of the tool marker in the world W, OpenCV axes for
     the camera. ``motion`` matters only with a rolling shutter; the poses are those at the
@@ -125,7 +92,6 @@ class StereoCamera:
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
         noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
         self._imagers = [Imager(config, eye.lens.centre, noise) for eye in self.eyes]
-        self._exposure = AutoExposure(config.auto_exposure)
 
     def render(
         self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: CameraMotion = STILL
@@ -172,8 +138,7 @@ class StereoCamera:
         if config.blur_px > 0.0:
             size = 2 * int(np.ceil(2.5 * config.blur_px)) + 1
             cv2.GaussianBlur(picture, (size, size), config.blur_px, dst=picture)
-        gain = config.exposure_gain * self._exposure.gain(picture, config.exposure_gain, capture.capture_ns)
-        self._imagers[eye].expose(picture, self._key(eye, capture.frame_id), gain)
+        self._imagers[eye].expose(picture, self._key(eye, capture.frame_id), config.exposure_gain)
         return picture
 
     def _even(self, grey: int, eye: int, frame_id: int) -> Grey:

@@ -1,4 +1,4 @@
-"""Shadow, auto exposure and response curve: each against an answer that needs no renderer."""
+"""Shadow and response curve: each against an answer that needs no renderer."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.exposures import Capture, Shot
-from plant_emulator.core.camera.stereo_camera import LEFT, MOST_GAIN, AutoExposure, StereoCamera
+from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from plant_emulator.core.camera.surroundings import shadow_on
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from protocol.errors import ConfigurationError
@@ -76,27 +76,6 @@ def test_a_tilted_plates_shadow_is_that_of_its_points() -> None:
     way = math.cos(math.radians(30.0)) * x + math.sin(math.radians(30.0)) * y
     assert a * s + b * t + c == pytest.approx((way - config.edge_m(3.0)) / config.penumbra_m)
     assert factor == 0.4
-
-
-def test_auto_exposure_converges_as_a_first_order_lag() -> None:
-    config = scene_config({"camera": {"auto_exposure": {"enabled": True}}}).camera.auto_exposure
-    servo = AutoExposure(config)
-    bright, dark = np.full((8, 8), 110, np.uint8), np.full((8, 8), 55, np.uint8)
-    assert servo.gain(bright, 1.0, 0) == pytest.approx(1.0)
-    gains = [servo.gain(dark, 1.0, round(n * 0.1 * SECOND_NS)) for n in range(1, 31)]
-    expected = [2.0 ** (1.0 - math.exp(-n * 0.1 / 0.3)) for n in range(1, 31)]
-    np.testing.assert_allclose(gains, expected, rtol=1e-9)
-    assert servo.gain(bright, 1.0, 3 * SECOND_NS) == gains[-1]  # the other eye, or a frozen frame
-    black = np.zeros((8, 8), np.uint8)
-    assert servo.gain(black, 1.0, 100 * SECOND_NS) == pytest.approx(MOST_GAIN)
-
-
-def test_both_eyes_pictures_are_brought_to_the_wanted_mean() -> None:
-    eyes = even(camera={"auto_exposure": {"enabled": True}, "exposure_gain": 0.4})
-    view = wall_view(eyes.scene, 1.0)
-    for frame in range(3):
-        pair = at(eyes, Capture(frame, frame * SECOND_NS, view))
-        assert [float(picture.mean()) for picture in pair] == pytest.approx([110.0, 110.0], abs=1.5)
 
 
 def test_a_response_curve_bends_grey_levels_and_nothing_else() -> None:

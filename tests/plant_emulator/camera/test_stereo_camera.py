@@ -9,9 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
-from plant_emulator.core.mechanics.geometry import transform
 from tests.plant_emulator.camera.camera_world import (
-    FACING,
     CameraView,
     camera,
     clean_camera,
@@ -59,31 +57,6 @@ def test_noise_has_the_configured_strength_and_no_memory() -> None:
         assert abs(np.corrcoef(noise[0].ravel(), other.ravel())[0, 1]) < 0.01
     rows = noise[0]
     assert abs(np.corrcoef(rows[:-1].ravel(), rows[1:].ravel())[0, 1]) < 0.01
-
-
-def test_a_plate_reaches_exactly_as_far_as_its_edge() -> None:
-    """Outside the projected plate nothing of the wall changes; inside nothing of it is left."""
-    eyes = clean_camera()
-    view = start_view(eyes.scene)
-    away = CameraView(view.X_WC, view.X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
-    difference = rendered(eyes, view)[LEFT] != rendered(eyes, away)[LEFT]
-    tool = eyes.scene.config.tool_marker
-    outer = tool.side_m * (1.0 + tool.print_scale_error) / 2.0 + tool.quiet_zone_m
-    corners = np.array(
-        [[-outer, outer, 0.0], [outer, outer, 0.0], [outer, -outer, 0.0], [-outer, -outer, 0.0]]
-    )
-    image, _ = eyes.project(view.X_WC, corners @ view.X_WM[:3, :3].T + view.X_WM[:3, 3])
-    columns = np.flatnonzero(difference.any(axis=0))
-    rows = np.flatnonzero(difference.any(axis=1))
-    assert columns[0] == pytest.approx(image[:, 0].min(), abs=1.5)
-    assert columns[-1] == pytest.approx(image[:, 0].max(), abs=1.5)
-    assert rows[0] == pytest.approx(image[:, 1].min(), abs=1.5)
-    inner = image.mean(axis=0) + 0.95 * (image - image.mean(axis=0))
-    mask = cv2.fillConvexPoly(np.zeros((720, 1280), np.uint8), np.rint(inner).astype(np.int32), 1).astype(
-        bool
-    )
-    assert set(np.unique(rendered(eyes, view)[LEFT][mask])) >= {22, 208}
-    assert difference[mask].mean() > 0.98
 
 
 @pytest.mark.parametrize("distance", [0.5, 0.9, 1.7, 3.2])

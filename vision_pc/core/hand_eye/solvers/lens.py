@@ -29,8 +29,8 @@ _HALF_SIDE = 0.1  # of a target whose corners nobody gave, over its distance
 
 
 def usual_covariance(K: Array) -> Array:
-    """The covariance (9, 9) of fx, fy, cx, cy (px) and k1 k2 p1 p2 k3 of a camera ``K`` (3, 3) that is known as
-    well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad, distortion to half a pixel.
+    """The covariance (9, 9) of fx, fy, cx, cy (px) and k1 k2 p1 p2 k3 of a camera ``K`` (3, 3) that is known
+    as well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad, distortion to half a pixel.
     """
     f = np.array([K[0, 0], K[1, 1]])
     common = np.zeros((9, 9))
