@@ -98,10 +98,10 @@ def observe(
     ambiguous marker, its estimate of the right eye's offset is carried on.
     """
     priors = priors_after(previous, settings)
-    found = _found(pair, settings, previous)
-    sightings, unfit = markers.sight(pair, found.detected.corners, camera, settings, priors)
-    unfit |= dict.fromkeys(found.detected.repeated, "repeated_id")
-    seen = FrameMarkers(sightings, found.detected.refused, unfit, found.since_full_search)
+    detected, since_full_search = _found(pair, settings, previous)
+    sightings, unfit = markers.sight(pair, detected.corners, camera, settings, priors)
+    unfit |= dict.fromkeys(detected.repeated, "repeated_id")
+    seen = FrameMarkers(sightings, detected.refused, unfit, since_full_search)
     stamp = FrameStamp(pair.frame_id, pair.capture_ns)
     return observation_of(stamp, seen, camera, settings, priors, previous)
 
@@ -190,14 +190,13 @@ def _missing(
     return "wrong_size" if "wrong_size" in reasons else "not_seen"
 
 
-class _Found(NamedTuple):
-    detected: Detected
-    since_full_search: int
+def _found(
+    pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None
+) -> tuple[Detected, int]:
+    """Rough corners in the left picture, and how many frames ago all of it was searched.
 
-
-def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None) -> _Found:
-    """Rough corners in the left picture: around the last frame's markers if all of them are there again,
-    else anywhere; so too after one was refused, which may have been for what was not yet known of the camera.
+    Searched is around the last frame's markers if all of them are there again, else anywhere; so too after
+    one was refused, which may have been for what was not yet known of the camera.
 
     Frames may have been skipped: what counts is how many were observed, not their numbers.
     """
@@ -212,8 +211,8 @@ def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservatio
         needed = frozenset(m.marker_id for m in before)
         detected = markers.detect(pair.left, settings, region, needed)
         if needed <= detected.corners.keys():
-            return _Found(detected, since)
-    return _Found(markers.detect(pair.left, settings), 0)
+            return detected, since
+    return markers.detect(pair.left, settings), 0
 
 
 def _region(image: Image, corners: Array, margin: int) -> Region:
