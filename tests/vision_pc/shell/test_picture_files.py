@@ -16,7 +16,7 @@ from testbed.hand_eye.picture_samples import alike
 from testbed.reporting.console import out
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.grey_files import read_grey
 from vision_pc.shell.cameras.picture_files import eye_files, matched_pictures, pictures_in
 from vision_pc.shell.cameras.sequence import PairRecord, read_pairs
 from vision_pc.shell.cameras.sequence_calibration import kitti_eyes, recorded_camera

@@ -106,8 +106,8 @@ def judged(pairs: PosePairs, result: HandEyeResult) -> Judgement:
     misread = _misread(pairs, as_given, others, _BETTER)
     if as_given is not None and misread is not None:
         cause, words = misread
-        doubt = Doubt(cause, f"{words}, as given {_fits(as_given)}", refused=True)
-        return Judgement((doubt,), None, None)
+        refusal = Doubt(cause, f"{words}, as given {_fits(as_given)}", refused=True)
+        return Judgement((refusal,), None, None)
     found = _scale(pairs, result)
     if (doubt := _scale_doubt(found)) is not None:
         doubts.append(doubt)
