@@ -93,12 +93,10 @@ class StereoCamera:
         noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
         self._imagers = [Imager(config, eye.lens.centre, noise) for eye in self.eyes]
 
-    def render(
-        self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: CameraMotion = STILL
-    ) -> tuple[Grey, Grey]:
+    def render(self, X_WC: Matrix, X_WM: Matrix, frame_id: int) -> tuple[Grey, Grey]:
         """The two eyes' pictures (left, right), each (height, width) uint8."""
         view = CameraView(X_WC, X_WM)
-        return self.render_eye(LEFT, view, frame_id, motion), self.render_eye(RIGHT, view, frame_id, motion)
+        return self.render_eye(LEFT, view, frame_id), self.render_eye(RIGHT, view, frame_id)
 
     def take(self, shot: Shot) -> tuple[Grey, Grey]:
         """The two eyes' pictures of ``shot``. Raises RequestRefused when it covers a marker unknown here."""

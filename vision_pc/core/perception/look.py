@@ -15,7 +15,15 @@ from vision_pc.core.perception.layout_check import misplaced_in_most, misplaced_
 from vision_pc.core.perception.markers import Detected, Region, Sighting
 from vision_pc.core.perception.stereo_pose import Priors
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
+from vision_pc.core.types import (
+    CameraCalibration,
+    CameraFrame,
+    FrameObservation,
+    Image,
+    Look,
+    StereoOffset,
+    StereoPair,
+)
 
 _ROBUST_ROUNDS = 10
 _CHI2_MEDIAN_6 = 5.348  # median of χ² with six degrees of freedom
@@ -102,8 +110,7 @@ def observe(
     sightings, unfit = markers.sight(pair, detected.corners, camera, settings, priors)
     unfit |= dict.fromkeys(detected.repeated, "repeated_id")
     seen = FrameMarkers(sightings, detected.refused, unfit, since_full_search)
-    stamp = FrameStamp(pair.frame_id, pair.capture_ns)
-    return observation_of(stamp, seen, camera, settings, priors, previous)
+    return observation_of(pair, seen, camera, settings, priors, previous)
 
 
 def priors_after(previous: FrameObservation | None, settings: MarkerSettings) -> Priors:
@@ -115,13 +122,6 @@ def priors_after(previous: FrameObservation | None, settings: MarkerSettings) ->
     if previous is None or previous.errors is None:
         return Priors(corner, size, offset, radial)
     return Priors(corner, size, offset, math.sqrt(previous.errors.covariance[6, 6]), known=True)
-
-
-class FrameStamp(NamedTuple):
-    """A ``CameraFrame``'s number and time, without what it shows."""
-
-    frame_id: int
-    capture_ns: int
 
 
 class FrameMarkers(NamedTuple):
@@ -138,7 +138,7 @@ class FrameMarkers(NamedTuple):
 
 
 def observation_of(
-    stamp: FrameStamp,
+    frame: CameraFrame,
     seen: FrameMarkers,
     camera: CameraCalibration,
     settings: MarkerSettings,
@@ -152,8 +152,8 @@ def observation_of(
     found = tuple(sighting.observation for sighting in seen.sightings)
     focal_px = float(camera.left.K[0, 0])
     return FrameObservation(
-        capture_ns=stamp.capture_ns,
-        frame_id=stamp.frame_id,
+        capture_ns=frame.capture_ns,
+        frame_id=frame.frame_id,
         X_CM=None if tool is None else tool.X,
         cov_CM=None if tool is None else tool.covariance,
         bias_CM=None if tool is None else tool.bias,
