@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera import rasteriser, rays
 from plant_emulator.core.camera.exposures import Capture
@@ -69,30 +68,18 @@ def as_read(project: Callable[[float], Matrix], config: CameraConfig) -> Matrix:
     ``project`` gives them for an instant (s) after the capture; each point is seen when its own row is read.
     Between first, middle and last row its way is taken for a parabola.
     """
-    line_s, last = config.shutter.line_s, config.height_px - 1
+    line_s, last = config.shutter.line_s, float(config.height_px - 1)
     middle = project(0.0)
     if line_s == 0.0:
         return middle
     early, late = project(-0.5 * line_s * last), project(0.5 * line_s * last)
-    seen = middle.copy()
-    _move_to_rows(seen, middle, late - early, late + early - 2.0 * middle, float(last))
+    way, bow, seen = late - early, late + early - 2.0 * middle, middle
+    for _ in range(_ROW_SEARCHES):
+        share = np.clip(
+            2.0 * seen[:, 1:] / last - 1.0, -1.0, 1.0
+        )  # what is behind the eye is NaN and stays it
+        seen = middle + 0.5 * share * way + 0.5 * (share * share) * bow
     return seen
-
-
-@kernel(nogil=True)
-def _move_to_rows(seen: Matrix, middle: Matrix, way: Matrix, bow: Matrix, last: float) -> None:
-    """Move ``seen`` (n, 2) from ``middle`` along its parabola to where it is when its own row is read."""
-    for i in range(seen.shape[0]):
-        for _ in range(_ROW_SEARCHES):
-            share = 2.0 * seen[i, 1] / last - 1.0
-            if share > 1.0:  # not min and max: what is behind the eye is NaN and stays it
-                share = 1.0
-            elif share < -1.0:
-                share = -1.0
-            for axis in range(2):
-                seen[i, axis] = (
-                    middle[i, axis] + 0.5 * share * way[i, axis] + 0.5 * (share * share) * bow[i, axis]
-                )
 
 
 Grey = NDArray[np.uint8]

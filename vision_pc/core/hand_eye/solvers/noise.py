@@ -87,7 +87,7 @@ def _noise_explaining(linear: _LinearisedNoise, noise: Noise, keep_ratio: bool) 
     """The noise whose every component explains the residuals: each is scaled by what they show of it."""
     sizes = np.array([getattr(noise, name) for name in linear.fields])
     for _ in range(_ROUNDS):
-        squares, expected = _shown_and_expected(linear, sizes)
+        squares, expected = shown_and_expected(linear.residuals, linear.slope, linear.units, sizes)
         living = np.where(sizes <= _LEAST, 0.0, expected)
         share = living / max(float(living.sum()), 1e-12)
         if keep_ratio:
@@ -118,17 +118,21 @@ def _with_prior(squares: Array, expected: Array, sizes: Array) -> Array:
     )
 
 
-def _shown_and_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, Array]:
-    """For each component the squared residuals that it is to explain, and how much that should be.
+def shown_and_expected(
+    residuals: Array, slope: Array, units: Array, sizes: Array, prior: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """For each of c components of noise the squared residuals that it is to explain, and how much that should
+    be: they are equal when its ``sizes`` (c,) are right.
 
-    They are equal when the noise is right.
+    ``residuals`` (n, 6) with their ``slope`` (n, 6, k) by what is fitted to them, of which the information
+    ``prior`` (k, k) was there before; ``units`` (c, n, 6, 6): covariances of components of size 1.
     """
-    parts = sizes[:, None, None, None] ** 2 * linear.units
+    parts = sizes[:, None, None, None] ** 2 * units
     W = np.linalg.inv(np.linalg.cholesky(parts.sum(axis=0)))
     K = W @ parts @ np.swapaxes(W, -1, -2)
-    J = (W @ linear.slope).reshape(-1, linear.slope.shape[-1])
-    r = (W @ linear.residuals[..., None]).reshape(-1)
-    covariance = ml.covariance(J.T @ J)
+    J = (W @ slope).reshape(-1, slope.shape[-1])
+    r = (W @ residuals[..., None]).reshape(-1)
+    covariance = ml.covariance(J.T @ J + prior)
     r = r - J @ (covariance @ (J.T @ r))
 
     def across(columns: Array) -> Array:
