@@ -75,9 +75,7 @@ def as_read(project: Callable[[float], Matrix], config: CameraConfig) -> Matrix:
     early, late = project(-0.5 * line_s * last), project(0.5 * line_s * last)
     way, bow, seen = late - early, late + early - 2.0 * middle, middle
     for _ in range(_ROW_SEARCHES):
-        share = np.clip(
-            2.0 * seen[:, 1:] / last - 1.0, -1.0, 1.0
-        )  # what is behind the eye is NaN and stays it
+        share = np.clip(2.0 * seen[:, 1:] / last - 1.0, -1.0, 1.0)  # NaN, behind the eye, stays
         seen = middle + 0.5 * share * way + 0.5 * (share * share) * bow
     return seen
 

@@ -110,7 +110,7 @@ def align(
     if np.linalg.cond(sums.H) > 1e14:
         raise TargetRefused("target.low_texture", "target: the surface about it shows too little")
     noise = float(np.average(sums.residuals**2, weights=sums.weights))
-    whole = _MORE * noise * np.linalg.inv(sums.H)
+    whole = np.asarray(_MORE * noise * np.linalg.inv(sums.H), dtype=np.float64)
     rate = _disparity_rate(camera)
     floor = (_FLOOR_PX / rate) ** 2
     reach = float(np.abs(patch.x).max())
