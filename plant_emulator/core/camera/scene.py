@@ -189,10 +189,6 @@ class Scene:
         """Outlines, in O, of what moves before the wall, at ``time_s``."""
         return tuple(front_of(passer.size_m, passer.place_m(time_s)) for passer in self.config.passers)
 
-    def hiding(self, time_s: float) -> tuple[Plate, ...]:
-        """Outlines, in O, of everything that hides points of the wall at ``time_s``."""
-        return (*self.standing, *self.passing(time_s))
-
     def marker_corners(self) -> dict[int, tuple[Literal["O", "M"], Matrix]]:
         """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""
         tool = self.config.tool_marker

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.camera import stereo_camera
 from plant_emulator.core.camera.exposures import CameraView, motion_between
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
@@ -123,16 +122,3 @@ def test_exposure_scales_and_saturates() -> None:
     dim, bright = (clean(camera={"exposure_gain": gain}).render_eye(LEFT, view, 1) for gain in (0.5, 4.0))
     assert np.abs(dim - plain * 0.5).max() <= 1.0
     assert (bright[plain > 64] == 255).all()
-
-
-def test_light_becomes_grey_as_vignetting_gain_and_curve_say() -> None:
-    """Against the same in double precision: rounded, not cut off."""
-    rng = np.random.default_rng(4)
-    picture = rng.integers(0, 256, (40, 60)).astype(np.uint8)
-    response = 255.0 * np.minimum(np.arange(257) / 255.0, 1.0) ** 0.6
-    v, u = np.mgrid[0:40, 0:60]
-    falls = 1.3 * (1.0 - 1e-4 * ((u - 28.5) ** 2 + (v - 21.0) ** 2))
-    light = np.clip(picture * falls, 0.0, 255.0)
-    expected = np.interp(light, np.arange(257), response)
-    stereo_camera._expose(picture, 1.3, 1e-4, (28.5, 21.0), response.astype(np.float32))
-    assert np.abs(picture - expected).max() < 0.501

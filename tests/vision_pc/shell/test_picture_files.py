@@ -147,17 +147,6 @@ def test_a_transparent_picture_lies_on_white(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), expected)
 
 
-def test_boards_are_taken_in_the_order_of_their_numbers(tmp_path: Path) -> None:
-    for k in (1, 2, 10):
-        for eye in ("left", "right"):
-            cv2.imwrite(str(tmp_path / f"{eye}{k}.png"), np.full((8, 8), k, np.uint8))
-    cv2.imwrite(str(tmp_path / "left3.png"), np.full((8, 8), 3, np.uint8))
-    settings = CameraSettings(stale_ms=1000.0, frozen_frames=0, width_px=64, height_px=64, calibration=PLAIN)
-    taken = take(str(tmp_path), settings, 9)
-    assert taken.names == ["left1.png", "left2.png", "left10.png"]
-    assert [int(pair.right[0, 0]) for pair in taken.pairs] == [1, 2, 10]
-
-
 @pytest.mark.parametrize("bits", range(8, 17))
 def test_depth_is_that_of_the_values(tmp_path: Path, bits: int) -> None:
     values = np.linspace(0, 2**bits - 1, 256).astype(np.uint16).reshape(16, 16)
