@@ -3,7 +3,8 @@
 Unknown are the inverse depth 1/Z = a + b (x − x0) + c (y − y0) over the left eye's rays (x, y, 1), which is
 what any plane is; the right eye's rows; gain and offset of its grey levels. Gauss-Newton minimises the
 difference of the greys, with Huber's weights. What is left over is alike in neighbouring pixels, for both
-pictures are smoothed and interpolated: JᵀJ alone would be three times too sure.
+pictures are smoothed and interpolated; the covariance takes its autocorrelation into account. JᵀJ alone would
+be 1.8 times too sure.
 """
 
 import math
@@ -26,13 +27,12 @@ _ROUNDS = 15
 _CONVERGED_PX = 2e-4
 _HUBER = 2.5
 _ROW_STD = 0.5  # px that the right eye's rows may be off what is believed
+_LAGS = 5  # px over which what is left over is alike
 _STEEPEST = math.radians(65.0)
 _LEAST_PIXELS = 300
 _FLOOR_PX = 0.004  # [M] what interpolation leaves (docs/targets.md)
 _CURVED = 0.04  # 1/m [E] of a wall that rises by 4 mm over a metre: its middle lies off the plane
-# [M] Variance over that of JᵀJ: residuals are alike in neighbours, 5.3 to 7.5 times in 90 % of 72 patches of
-# rendered walls at 0.4 to 1.9 m; and 1.5 times more, as gradients are noisy too.
-_MORE = 1.5 * 7.5
+_MORE = 1.5  # [M] variance over what the residuals tell: gradients are noisy too
 
 Mask = NDArray[np.bool_]
 
@@ -109,8 +109,8 @@ def align(
         raise TargetRefused("target.outside_picture", "target: the right eye does not see all of the patch")
     if np.linalg.cond(sums.H) > 1e14:
         raise TargetRefused("target.low_texture", "target: the surface about it shows too little")
-    noise = float(np.average(sums.residuals**2, weights=sums.weights))
-    whole = np.asarray(_MORE * noise * np.linalg.inv(sums.H), dtype=np.float64)
+    G = np.linalg.inv(sums.H)
+    whole = _MORE * G @ _spread(sums.J, sums.residuals, sums.weights, _LAGS) @ G
     rate = _disparity_rate(camera)
     floor = (_FLOOR_PX / rate) ** 2
     reach = float(np.abs(patch.x).max())
@@ -185,7 +185,7 @@ def _refuse_steep(plane: PlanePatch) -> None:
 
 
 class _Sums(NamedTuple):
-    """Room for a round: information (6, 6), gradient (6,), a pixel's slope (6,), residuals and weights."""
+    """Room for a round: information (6, 6), gradient (6,), Jacobian (n, n, 6), residuals, weights."""
 
     H: Array
     g: Array
@@ -198,7 +198,9 @@ def _aligned(patch: _Patch, right: _Right, ray: Array, inverse_depth: float) -> 
     """(a, b, c, rows px, gain, offset) and the last round's sums. False where it leaves the right picture."""
     count = patch.grey.shape[0]
     theta = np.array([inverse_depth, 0.0, 0.0, 0.0, 1.0, 0.0])
-    sums = _Sums(np.zeros((6, 6)), np.zeros(6), np.zeros(6), *np.zeros((2, count, count)))
+    sums = _Sums(
+        np.zeros((6, 6)), np.zeros(6), np.zeros((count, count, 6)), *np.zeros((2, count, count))
+    )  # fmt: skip
     inside = _iterated(patch, right, ray, theta, sums)
     return theta, sums, inside
 
@@ -242,7 +244,7 @@ def _summed(
             weights[i, j] = 0.0
             if patch.used[i, j] == 0.0:
                 continue
-            seen = _right_grey(patch, right, ray, theta, i, j, J)
+            seen = _right_grey(patch, right, ray, theta, i, j, J[i, j])
             if math.isnan(seen):
                 inside = False
                 continue
@@ -252,9 +254,9 @@ def _summed(
             total += min(residual * residual, (_HUBER * scale) ** 2)
             used += 1.0
             for m in range(6):
-                g[m] += weight * J[m] * residual
+                g[m] += weight * J[i, j, m] * residual
                 for n in range(m + 1):
-                    H[m, n] += weight * J[m] * J[n]
+                    H[m, n] += weight * J[i, j, m] * J[i, j, n]
     for m in range(6):
         for n in range(m):
             H[n, m] = H[m, n]
@@ -331,3 +333,36 @@ def _cubic(t: float) -> tuple[tuple[float, float, float, float], tuple[float, fl
         1.5 * tt - t,
     )
     return weights, slopes
+
+
+@kernel(nogil=True)
+def _spread(J: Array, residuals: Array, weights: Array, lags: int) -> Array:
+    """The covariance (6, 6) of Jᵀ W r when residuals are as alike in neighbours as these are."""
+    count = residuals.shape[0]
+    total = np.zeros((6, 6))
+    for di in range(lags + 1):
+        for dj in range(-lags, lags + 1):
+            if di == 0 and dj < 0:
+                continue
+            alike = pairs = 0.0
+            part = np.zeros((6, 6))
+            for i in range(count - di):
+                for j in range(max(0, -dj), count - max(0, dj)):
+                    w = weights[i, j] * weights[i + di, j + dj]
+                    if w == 0.0:
+                        continue
+                    alike += w * residuals[i, j] * residuals[i + di, j + dj]
+                    pairs += 1.0
+                    for m in range(6):
+                        scaled = w * J[i, j, m]
+                        for n in range(6):
+                            part[m, n] += scaled * J[i + di, j + dj, n]
+            if pairs > 0.0:
+                # Parzen's window keeps the sum positive where single estimates are chance.
+                fade = (1.0 - di / (lags + 1.0)) * (1.0 - abs(dj) / (lags + 1.0))
+                scale = fade * alike / pairs
+                if di == 0 and dj == 0:
+                    total += scale * part
+                else:
+                    total += scale * (part + part.T)
+    return total
