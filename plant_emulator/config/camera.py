@@ -34,32 +34,10 @@ class ShadowConfig(StrictModel):
         return self.start_m + self.speed_m_s * time_s % self.way_m
 
 
-class GlareConfig(StrictModel):
-    """The highlight of a lamp at ``lamp_m`` (in O) on glossy plates, which are the markers': it moves as one
-    looks from elsewhere.
-
-    ``strength_grey`` is added where the lamp's mirror image lies, less around it as a bell of standard
-    deviation ``width_m`` on the plate; 0: matt plates.
-    """
-
-    strength_grey: float = Field(default=0.0, ge=0.0, le=2000.0)
-    width_m: float = Field(default=0.02, gt=0.0, le=1.0)
-    lamp_m: tuple[float, float, float] = (-0.3, 0.6, 2.0)
-
-    @model_validator(mode="after")
-    def _lamp_before_the_wall(self) -> "GlareConfig":
-        if not self.lamp_m[2] > 0.0:
-            raise ValueError(
-                f"lamp_m {self.lamp_m}: z must be above 0, a lamp behind the wall lights nothing"
-            )
-        return self
-
-
 class LightingConfig(StrictModel):
     """What light does beside the wall's gradient."""
 
     shadow: ShadowConfig = ShadowConfig()
-    glare: GlareConfig = GlareConfig()
 
 
 class LensConfig(StrictModel):
@@ -149,37 +127,11 @@ class StampsConfig(StrictModel):
     jitter_ms: float = Field(default=0.0, ge=0.0, le=50.0)
 
 
-class AutoExposureConfig(StrictModel):
-    """The servo of both eyes' gain: it brings the left picture's mean, before the response curve, to
-    ``mean_grey``.
-
-    The gain follows what it should be with ``time_constant_s``.
-    """
-
-    enabled: bool = False
-    mean_grey: float = Field(default=110.0, ge=5.0, le=250.0)
-    time_constant_s: float = Field(default=0.3, ge=0.01, le=60.0)
-
-
-class DirtConfig(StrictModel):
-    """A smear on one eye's lens, far out of focus: it stays at its place in the picture.
-
-    It lets ``transmission`` of the light pass in its middle and adds ``scatter_grey``; both fade outwards as
-    a bell of standard deviation ``radius_px``.
-    """
-
-    eye: Literal["left", "right"]
-    centre_px: tuple[float, float]
-    radius_px: float = Field(default=80.0, ge=5.0, le=2000.0)
-    transmission: float = Field(default=0.6, ge=0.0, le=1.0)
-    scatter_grey: float = Field(default=0.0, ge=0.0, le=255.0)
-
-
 class CameraConfig(StrictModel):
     """The stereo camera as it really is. Vision is told other, nominal numbers.
 
     ``lens`` is the left eye's. ``response_gamma``: white times (light / white) to that power is the grey;
-    ``exposure_gain`` is how bright the scene is before ``auto_exposure`` meters it.
+    ``exposure_gain``: how bright the scene is.
     """
 
     width_px: int = Field(default=1280, ge=64, le=4096)
@@ -194,9 +146,7 @@ class CameraConfig(StrictModel):
     blur_px: float = Field(default=0.0, ge=0.0, le=5.0)
     noise_grey: float = Field(default=0.0, ge=0.0, le=50.0)
     exposure_gain: float = Field(default=1.0, ge=0.0, le=16.0)
-    auto_exposure: AutoExposureConfig = AutoExposureConfig()
     response_gamma: float = Field(default=1.0, ge=0.2, le=3.0)
-    dirt: tuple[DirtConfig, ...] = Field(default=(), max_length=16)
     vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
     shutter: ShutterConfig = ShutterConfig()
     stamps: StampsConfig = StampsConfig()

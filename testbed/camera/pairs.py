@@ -1,7 +1,6 @@
 """Pairs of pictures of a stereo camera: read from directories, or rendered by the emulation."""
 
 import asyncio
-import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -15,8 +14,9 @@ from plant_emulator.config.surroundings import AnyBoardConfig, CharucoConfig, Ch
 from plant_emulator.core.camera.boards import board_pose
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
-from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
+from protocol.errors import ConfigurationError, MeasurementFailed
 from testbed.reporting.console import bars, out, promised
+from vision_pc.application.annotate import png
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
@@ -27,13 +27,7 @@ from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.cameras.directory import (
-    TABLE,
-    PairRecorder,
-    RecordedPair,
-    recorded,
-    recorded_pair,
-)
+from vision_pc.shell.cameras.grey_files import read_pair
 from vision_pc.shell.cameras.picture_files import matched_pictures, pictures_in
 from vision_pc.shell.cameras.uvc import halves
 
@@ -53,8 +47,8 @@ def take(source: str, settings: CameraSettings, most: int) -> Taken:
     """At most ``most`` pairs of ``source``: ``live`` (as configured), a device's number, a film, or a
     directory.
 
-    A directory holds ``captures.csv``, or ``left`` and ``right`` with as many pictures each, or pictures
-    named ``left…`` and ``right…``. Raises ConfigurationError, FrameRefused and LinkLost.
+    A directory holds ``left`` and ``right`` with as many pictures each, or pictures named ``left…`` and
+    ``right…``. Raises ConfigurationError, FrameRefused and LinkLost.
     """
     if source == LIVE or source.isdigit():
         device = settings if source == LIVE else settings.model_copy(update={
@@ -62,9 +56,6 @@ def take(source: str, settings: CameraSettings, most: int) -> Taken:
         pairs = asyncio.run(_live(device, most))
         return Taken([f"frame {pair.frame_id}" for pair in pairs], pairs, True)
     path = Path(source)
-    if (path / TABLE).is_file():
-        pairs = _readable(path, recorded(path), most)
-        return Taken([f"frame {pair.frame_id}" for pair in pairs], pairs, True)
     if path.is_dir():
         return _pictures(path, most)
     if not path.exists():
@@ -76,16 +67,6 @@ def take(source: str, settings: CameraSettings, most: int) -> Taken:
 def _spread(items: list[Item], most: int) -> list[Item]:
     """At most ``most`` of them, evenly over all."""
     return [items[k] for k in np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int)]
-
-
-def _readable(directory: Path, entries: list[RecordedPair], most: int) -> list[StereoPair]:
-    """At most ``most`` pairs of pictures; those that cannot be read are named. Raises ConfigurationError
-    where none can.
-    """
-    read, notes = read_each(_spread(entries, most), recorded_pair)
-    for note in notes:
-        out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
-    return [pair for _, pair in read]
 
 
 def _pictures(directory: Path, most: int) -> Taken:
@@ -100,12 +81,16 @@ def _pictures(directory: Path, most: int) -> Taken:
         raise ConfigurationError(
             "configuration.bad_recording",
             f"{directory}: {len(left)} pictures of the left eye and {len(right)} of the right one; wanted "
-            f"are {TABLE}, or folders left and right, or files left… and right…",
+            "are folders left and right, or files left… and right…",
         )
     files, notes = matched_pictures(left, right)
     for note in notes:
         out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
-    pairs = _readable(directory, [RecordedPair(i, 0, left[i], right[j]) for i, j in files], most)
+    chosen = _spread([(left[i], right[j], i) for i, j in files], most)
+    read, unread = read_each(chosen, lambda of: read_pair(of[0], of[1], 0, of[2]))
+    for note in unread:
+        out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
+    pairs = [pair for _, pair in read]
     return Taken([left[pair.frame_id].name for pair in pairs], pairs, False)
 
 
@@ -135,11 +120,10 @@ async def _live(settings: CameraSettings, most: int) -> list[StereoPair]:
     await camera.start()
     found: list[StereoPair] = []
     try:
-        with contextlib.suppress(LinkLost) if found else contextlib.nullcontext():
-            async for pair in camera.pairs():
-                found.append(pair._replace(left=pair.left.copy(), right=pair.right.copy()))
-                if len(found) >= most:
-                    break
+        async for pair in camera.pairs():
+            found.append(pair._replace(left=pair.left.copy(), right=pair.right.copy()))
+            if len(found) >= most:
+                break
     finally:
         await camera.close()
     return found
@@ -247,7 +231,7 @@ def _config(board: Checkerboard | Charuco) -> AnyBoardConfig:
 
 def run_emulate(scene: SceneConfig, board: Board | None, count: int, seed: int, to: Path) -> None:
     """Write pairs of ``board``, or of the markers where it is None, to ``to``: a film where it ends in .avi,
-    else a recording's directory.
+    else a directory of pictures.
     """
     if isinstance(board, AprilGrid):
         raise ConfigurationError("configuration.bad_board", "an AprilGrid is not emulated")
@@ -255,10 +239,10 @@ def run_emulate(scene: SceneConfig, board: Board | None, count: int, seed: int, 
     if to.suffix.lower() == ".avi":
         write_whole_film(pairs, promised(to))
     else:
-        recorder = PairRecorder(promised(to))
+        promised(to).mkdir(parents=True, exist_ok=True)
         for pair in pairs:
-            recorder.add(pair)
-        recorder.close()
+            for eye, picture in (("left", pair.left), ("right", pair.right)):
+                (to / f"{eye}{pair.frame_id:04d}.png").write_bytes(png(picture))
     what = "the markers" if board is None else "a board"
     out.print(f"{to}: {len(pairs)} raw pairs of {what}", highlight=False)
 

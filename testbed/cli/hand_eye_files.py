@@ -19,7 +19,7 @@ from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import judgement
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.board_finder import second_finders
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.grey_files import read_grey
 from vision_pc.shell.cameras.picture_files import pictures_in, pictures_of
 
 

@@ -18,7 +18,7 @@ from vision_pc.core.perception.picture_markers import PictureMarker, drawn, sear
 from vision_pc.core.perception.unread_markers import other_reading
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.grey_files import read_grey
 from vision_pc.shell.cameras.picture_files import matched_pictures, pictures_of
 from vision_pc.shell.cameras.sequence import (
     PairRecord,

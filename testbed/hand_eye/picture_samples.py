@@ -25,7 +25,7 @@ from vision_pc.core.perception.rectification import RawLens
 from vision_pc.core.perception.zhang_intrinsics import BoardView
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.grey_files import read_grey
 
 
 def detect(

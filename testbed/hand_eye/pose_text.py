@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from foundation.foreign_text import comma_separated, read_text
 from foundation.numbers_as_written import written_number
 from protocol.errors import RequestRefused
 from testbed.choices import PoseForm
-from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 
@@ -108,7 +108,6 @@ def numbers(value: Any, count: int, where: str) -> Array:
 _COUNTS = {PoseForm.EULER: 6, PoseForm.EULER_RAD: 6, PoseForm.UR: 6, PoseForm.KUKA: 6,
            PoseForm.MATRIX: 16, PoseForm.FRANKA: 16, PoseForm.TUM: 8}  # fmt: skip
 _IN_MM = (PoseForm.KUKA, PoseForm.ABB)
-_AXES = "xyz"
 _ORDER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
 
 
@@ -186,20 +185,11 @@ def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: boo
     if form is PoseForm.UR:
         return v[:3], rotation_of_vector(v[3:], where)
     if form is PoseForm.KUKA:
-        return v[:3], _euler(np.radians(v[3:]), "ZYX")
+        return v[:3], Rotation.from_euler("ZYX", v[3:], degrees=True).as_matrix()
     if form in (PoseForm.EULER, PoseForm.EULER_RAD):
-        return v[:3], _euler(v[3:] if form is PoseForm.EULER_RAD else np.radians(v[3:]), order)
+        return v[:3], Rotation.from_euler(order, v[3:], degrees=form is PoseForm.EULER).as_matrix()
     q = v[3:] if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else v[[6, 3, 4, 5]]
     return v[:3], rotation_of_quaternion(q, where, normalise)
-
-
-def _euler(angles: Array, order: str) -> Array:
-    turns = [
-        se3.exp_so3(angle * np.eye(3)[_AXES.index(axis.lower())])
-        for angle, axis in zip(angles, order, strict=True)
-    ]
-    first, second, third = turns if order.isupper() else turns[::-1]
-    return np.asarray(first @ second @ third)
 
 
 def is_number(word: str) -> bool:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
@@ -134,14 +135,9 @@ def pair(
 
 def interpolated(trajectory: Trajectory, times: Array) -> Array:
     """Poses (k, 4, 4) at ``times`` (k,) inside the trajectory, by straight lines and geodesics."""
-    after = np.clip(np.searchsorted(trajectory.time_s, times), 1, len(trajectory.time_s) - 1)
-    start, end = trajectory.X[after - 1], trajectory.X[after]
-    begin_s, width = trajectory.time_s[after - 1], trajectory.time_s[after] - trajectory.time_s[after - 1]
-    fraction = ((times - begin_s) / width)[:, None]
-    R_start = start[:, :3, :3]
-    turn = stacks.log_so3(np.swapaxes(R_start, -1, -2) @ end[:, :3, :3])
-    R = R_start @ stacks.exp_so3(fraction * turn)
-    return stacks.transform(R, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
+    R = Slerp(trajectory.time_s, Rotation.from_matrix(trajectory.X[:, :3, :3]))(times).as_matrix()
+    places = (np.interp(times, trajectory.time_s, trajectory.X[:, axis, 3]) for axis in range(3))
+    return stacks.transform(R, np.column_stack(list(places)))
 
 
 def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Array]:

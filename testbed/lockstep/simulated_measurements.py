@@ -33,7 +33,7 @@ from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception import intrinsics, markers
 from vision_pc.core.perception.camera_errors import fitted_errors
 from vision_pc.core.perception.intrinsics import as_believed, as_found
-from vision_pc.core.perception.look import FrameMarkers, FrameStamp, observation_of, priors_after
+from vision_pc.core.perception.look import FrameMarkers, observation_of, priors_after
 from vision_pc.core.perception.rectification import Rectifier
 from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.pixel_sensor import FrozenPictures
@@ -248,9 +248,8 @@ class SimulatedSensor:
                 unfit[number] = outcome
             else:
                 sightings.append(outcome)
-        stamp = FrameStamp(frame.frame_id, frame.capture_ns)
         found = FrameMarkers(sightings, Counter(), unfit, since_full_search=0)
-        return observation_of(stamp, found, camera, settings, priors, previous)
+        return observation_of(frame, found, camera, settings, priors, previous)
 
     def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
         """What the samples of a watch say of the camera."""

@@ -78,7 +78,7 @@ class TrueView:
         self._size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
         self._scene = scene
         wall = scene.config.wall
-        self._wall_is_plain = not (wall.bare_patches or wall.blocks or scene.hiding(0.0))
+        self._wall_is_plain = not (wall.bare_patches or wall.blocks or scene.config.passers)
         self._standing = _screens(scene.mounts.X_WO, scene.standing)
         corners = scene.marker_corners()
         self._hung = [number for number, (parent, _) in corners.items() if parent == "O"]

@@ -19,7 +19,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, Image, OdometryPose, StereoPair
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.grey_files import read_grey
 from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs
 from vision_pc.shell.cameras.sequence_calibration import recorded_camera
 

@@ -87,13 +87,6 @@ class GenicamSettings(StrictModel):
         return self
 
 
-class DirectorySettings(StrictModel):
-    """A recorded directory of left/right PNG pairs with ``captures.csv``."""
-
-    path: Path = Path("recording")
-    speed: float = Field(1.0, ge=0.0, le=1000.0)
-
-
 def _load_named_file(value: Any, info: ValidationInfo) -> Any:
     """A mapping as it stands, or what is in the file that is named."""
     if not isinstance(value, str | Path):
@@ -132,13 +125,12 @@ class CameraSettings(StrictModel):
     rectified pictures' intrinsics.
     """
 
-    source: Literal["stream", "uvc", "genicam", "directory"] = "stream"
+    source: Literal["stream", "uvc", "genicam"] = "stream"
     stale_ms: float = Field(ge=10.0, le=60_000.0)
     frozen_frames: int = Field(ge=0, le=1000)
     stream: StreamSettings = StreamSettings()
     uvc: UvcSettings = UvcSettings()
     genicam: GenicamSettings = GenicamSettings()
-    directory: DirectorySettings = DirectorySettings()
     width_px: int = Field(ge=64, le=8192)
     height_px: int = Field(ge=64, le=8192)
     calibration: Annotated[Calibration, BeforeValidator(_load_named_file)]

@@ -99,41 +99,10 @@ def stamps(rng: np.random.Generator, _usual: Settings) -> JSON:
 # ---- light and surroundings
 
 
-@axis(
-    "auto exposure to 90 to 130 grey levels within 0.15 to 0.6 s, gamma 0.45 to 1, up to 3 smears an eye",
-    "[S] sRGB's curve is about 0.45; [E] the rest",
-)
+@axis("gamma 0.45 to 1", "[S] sRGB's curve is about 0.45")
 def exposure(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """What the camera makes of light by itself, and what sticks to its glass."""
-    smears = [
-        {
-            "eye": eye,
-            "centre_px": [rng.uniform(0.0, 1280.0), rng.uniform(0.0, 720.0)],
-            "radius_px": rng.uniform(30.0, 150.0),
-            "transmission": rng.uniform(0.6, 0.95),
-            "scatter_grey": rng.uniform(0.0, 15.0),
-        }
-        for eye in ("left", "right")
-        for _ in range(rng.integers(0, 4))
-    ]
-    servo = {
-        "enabled": True,
-        "mean_grey": rng.uniform(90.0, 130.0),
-        "time_constant_s": rng.uniform(0.15, 0.6),
-    }
-    curve = {"response_gamma": rng.uniform(0.45, 1.0)}
-    return {"scene": {"camera": {"auto_exposure": servo, "dirt": smears} | curve}}
-
-
-@axis(
-    "30 to 150 grey levels, 15 to 40 mm wide; a lamp above, to one side",
-    "[E] a work light on a laminated print",
-)
-def glare(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """The highlight of a lamp on the markers' plates."""
-    lamp = rng.uniform([-1.0, 0.2, 1.5], [1.0, 1.2, 3.0]).tolist()
-    shine = {"strength_grey": rng.uniform(30.0, 150.0), "width_m": rng.uniform(0.015, 0.04)}
-    return {"scene": {"lighting": {"glare": shine | {"lamp_m": lamp}}}}
+    """What the camera makes of light by itself."""
+    return {"scene": {"camera": {"response_gamma": rng.uniform(0.45, 1.0)}}}
 
 
 @axis(

@@ -92,7 +92,6 @@ _REAL = (
     axes_of_sight.light,
     axes_of_sight.rolling_shutter,
     axes_of_sight.exposure,
-    axes_of_sight.glare,
     axes_of_sight.moving_shadow,
     axes_of_sight.uneven_wall,
     axes_of_sight.broken_wall,

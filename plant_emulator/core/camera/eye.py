@@ -8,14 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
 from plant_emulator.config.camera import CameraConfig
-from plant_emulator.core.camera import panel_painter, rasteriser, rays
+from plant_emulator.core.camera import rasteriser, rays
 from plant_emulator.core.camera.exposures import Capture
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.rays import Lens
 from plant_emulator.core.camera.scene import Cover, Scene
-from plant_emulator.core.camera.surroundings import NO_GLARE, glare_on, shadow_on
+from plant_emulator.core.camera.surroundings import shadow_on
 from plant_emulator.core.camera.wall import bores, wall_painter
 from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -69,30 +68,16 @@ def as_read(project: Callable[[float], Matrix], config: CameraConfig) -> Matrix:
     ``project`` gives them for an instant (s) after the capture; each point is seen when its own row is read.
     Between first, middle and last row its way is taken for a parabola.
     """
-    line_s, last = config.shutter.line_s, config.height_px - 1
+    line_s, last = config.shutter.line_s, float(config.height_px - 1)
     middle = project(0.0)
     if line_s == 0.0:
         return middle
     early, late = project(-0.5 * line_s * last), project(0.5 * line_s * last)
-    seen = middle.copy()
-    _move_to_rows(seen, middle, late - early, late + early - 2.0 * middle, float(last))
+    way, bow, seen = late - early, late + early - 2.0 * middle, middle
+    for _ in range(_ROW_SEARCHES):
+        share = np.clip(2.0 * seen[:, 1:] / last - 1.0, -1.0, 1.0)  # NaN, behind the eye, stays
+        seen = middle + 0.5 * share * way + 0.5 * (share * share) * bow
     return seen
-
-
-@kernel(nogil=True)
-def _move_to_rows(seen: Matrix, middle: Matrix, way: Matrix, bow: Matrix, last: float) -> None:
-    """Move ``seen`` (n, 2) from ``middle`` along its parabola to where it is when its own row is read."""
-    for i in range(seen.shape[0]):
-        for _ in range(_ROW_SEARCHES):
-            share = 2.0 * seen[i, 1] / last - 1.0
-            if share > 1.0:  # not min and max: what is behind the eye is NaN and stays it
-                share = 1.0
-            elif share < -1.0:
-                share = -1.0
-            for axis in range(2):
-                seen[i, axis] = (
-                    middle[i, axis] + 0.5 * share * way[i, axis] + 0.5 * (share * share) * bow[i, axis]
-                )
 
 
 Grey = NDArray[np.uint8]
@@ -217,21 +202,16 @@ class Eye:
         for one in placed(group.rims, X_EPs, self.lens, self._size, self._widest):
             plate = group.plates[one.number]
             surface = self._surface(group, one, X_OPs[one.number], edge_m)
-            if plate.levels:
-                panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
-                panel_painter.paint_panel(picture, self._rays, one.homographies, panel, one.box, surface)
-            else:
-                grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
-                rasteriser.paint_plate(picture, self._rays, one.homographies, grid, one.box, surface)
+            grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
+            rasteriser.paint_plate(picture, self._rays, one.homographies, grid, one.box, surface)
 
     def _surface(self, group: Sheets, one: Placed, X_OP: Matrix, edge_m: float) -> rays.Surface:
-        plate, eye_P, lighting = group.plates[one.number], one.eye_P, self._scene.config.lighting
+        plate, eye_P = group.plates[one.number], one.eye_P
         curve, across, up = plate.bend
         return rays.Surface(
             group.lights[one.number],
             np.array([curve, across, -up, eye_P[0], -eye_P[1], eye_P[2]]),
-            shadow_on(lighting.shadow, X_OP, edge_m),
-            glare_on(lighting.glare, X_OP, eye_P) if plate.glossy else NO_GLARE,
+            shadow_on(self._scene.config.lighting.shadow, X_OP, edge_m),
         )
 
 

@@ -1,26 +1,20 @@
-"""Flat plates, of which everything visible but the wall is made: grids of cells, or printed pictures; and
-where they appear in one eye's picture, all those of a parent at once.
+"""Plates of cells, of which everything visible but the wall is made, and where they appear in one eye's
+picture, all those of a parent at once.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
-from plant_emulator.core.camera.fetching import Pairs, pairs_of
-from plant_emulator.core.camera.rays import Lens, Optics, projected
+from plant_emulator.core.camera.rays import Lens
 
-Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 Pixels = NDArray[np.int64]
 
 Box = tuple[int, int, int, int]
-Span = tuple[int, int]
 
-_COARSEST_TEXELS = 8
 _RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
 _NEAREST_M = 0.02
 _ASIDE = 1.05  # of the widest rays: farther aside nothing is seen, not even a rim
@@ -51,13 +45,12 @@ FLAT = Bend()
 
 
 class Plate(NamedTuple):
-    """A flat or slightly bent rectangle painted with a grid of uniform cells, or with a picture.
+    """A flat or slightly bent rectangle painted with a grid of uniform cells.
 
     ``X_parent_plate``: pose in the parent (O for the wall's markers, M for what the tool carries), x right, y
     up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
     counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
-    lighting gradient applies. ``levels``: the picture that fills the rectangle instead of ``grey``, and its
-    mip levels, each half as fine as the one before; always flat and matt. ``glossy``: a lamp is mirrored.
+    lighting gradient applies.
     """
 
     X_parent_plate: Matrix
@@ -65,9 +58,7 @@ class Plate(NamedTuple):
     edges_y: Matrix
     grey: NDArray[np.float32]
     lit_by_wall: bool
-    levels: tuple[Pairs, ...] = ()
     bend: Bend = FLAT
-    glossy: bool = False
 
 
 def plain_plate(
@@ -86,15 +77,6 @@ def grid_plate(X_parent_plate: Matrix, cell_m: float, grey: NDArray[np.float32],
     """A plate of square cells of ``cell_m``, its middle at the origin of its pose."""
     edges_y, edges_x = (np.arange(count + 1) * cell_m - 0.5 * count * cell_m for count in grey.shape)
     return Plate(X_parent_plate, edges_x, edges_y, grey, lit_by_wall)
-
-
-def halved(picture: Grey, count: int) -> tuple[Pairs, ...]:
-    """``count`` mip levels of ``picture``, itself the first, each with its lower neighbours."""
-    levels = [picture]
-    for _ in range(count - 1):
-        coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        levels.append(np.asarray(coarser, dtype=np.uint8))
-    return tuple(pairs_of(level) for level in levels)
 
 
 class Sheets(NamedTuple):
@@ -150,8 +132,8 @@ def placed(
     R, p = X_EPs[..., :3, :3], X_EPs[..., :3, 3]
     around = _outlines(rims) if lens.bends else rims
     in_eye = around[:, None] @ np.swapaxes(R, -1, -2) + p[:, :, None]
-    boxes = _boxes(in_eye, X_EPs, lens.optics, size, widest)
-    numbers = np.flatnonzero(boxes[:, 0] < boxes[:, 1])
+    boxes = _boxes(in_eye, X_EPs, lens, size, widest)
+    numbers = np.flatnonzero((boxes[:, 0] < boxes[:, 1]) & (boxes[:, 2] < boxes[:, 3]))
     boxes, R, p = boxes[numbers], R[numbers], p[numbers]
     homographies = ray_to_plane(X_EPs[numbers])
     eyes_P = -(np.swapaxes(R, -1, -2) @ p[..., None])[..., 0].mean(axis=1)
@@ -177,72 +159,22 @@ def _outlines(rims: Matrix) -> Matrix:
     return np.asarray(sides.reshape(len(rims), -1, 3))
 
 
-@kernel(nogil=True)
-def _boxes(in_eye: Matrix, X_EPs: Matrix, optics: Optics, size: tuple[int, int], widest: Matrix) -> Pixels:
+def _boxes(in_eye: Matrix, X_EPs: Matrix, lens: Lens, size: tuple[int, int], widest: Matrix) -> Pixels:
     """Pixel rows and columns (n, 4) that each plate may touch, half open: top, bottom, left, right.
 
-    ``in_eye`` (n, m, k, 3): the points about each at each instant. All zero where there is nothing to see:
-    seen from behind, no plate of this scene has anything to show.
+    ``in_eye`` (n, m, k, 3): the points about each at each instant. Empty where there is nothing to see: from
+    behind no plate of this scene has anything to show, and what has all its points beyond a plane through the
+    eye and a side of the picture is beside it. All of the picture where some points are too near.
     """
-    boxes = np.zeros((in_eye.shape[0], 4), dtype=np.int64)
-    for k in range(in_eye.shape[0]):
-        if not _faces(X_EPs[k]):
-            continue
-        top, bottom, left, right = size[1], 0, size[0], 0
-        for m in range(in_eye.shape[1]):
-            if _beside(in_eye[k, m], widest):
-                continue
-            rows, columns = _touched(in_eye[k, m], optics, size)
-            top, bottom = min(top, rows[0]), max(bottom, rows[1])
-            left, right = min(left, columns[0]), max(right, columns[1])
-        if top < bottom and left < right:
-            boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = top, bottom, left, right
-    return boxes
-
-
-@kernel(nogil=True)
-def _beside(points: Matrix, widest: Matrix) -> bool:
-    """Whether all ``points`` (k, 3) are beyond one of the planes through the eye and the picture's sides.
-
-    Also those behind the eye: what they are about, a flat thing or nearly, then is there as a whole.
-    """
-    left = right = above = below = True
-    for x, y, z in points:
-        left, right = left and x < _ASIDE * widest[0] * z, right and x > _ASIDE * widest[1] * z
-        above, below = above and y < _ASIDE * widest[2] * z, below and y > _ASIDE * widest[3] * z
-    return left or right or above or below
-
-
-@kernel(nogil=True)
-def _faces(X_EPs: Matrix) -> bool:
-    """Whether the plate at ``X_EPs`` (m, 4, 4) turns its front to the eye at every instant."""
-    facing = True
-    for X in X_EPs:
-        facing = facing and X[0, 2] * X[0, 3] + X[1, 2] * X[1, 3] + X[2, 2] * X[2, 3] < 0.0
-    return facing
-
-
-@kernel(nogil=True)
-def _touched(points: Matrix, optics: Optics, size: tuple[int, int]) -> tuple[Span, Span]:
-    """Rows and columns that what has ``points`` (k, 3) about it may touch: all where some are too near."""
-    near = 0
-    first_u, last_u, first_v, last_v = np.inf, -np.inf, np.inf, -np.inf
-    for point in points:
-        if point[2] <= _NEAREST_M:
-            near += 1
-            continue
-        u, v = projected(point, optics)
-        first_u, last_u = min(first_u, u), max(last_u, u)
-        first_v, last_v = min(first_v, v), max(last_v, v)
-    if near == len(points):
-        return (0, 0), (0, 0)
-    if near > 0:
-        return (0, size[1]), (0, size[0])
-    return _within(first_v, last_v, size[1]), _within(first_u, last_u, size[0])
-
-
-@kernel(nogil=True)
-def _within(first: float, last: float, count: int) -> Span:
-    """The pixels from ``first`` to ``last`` with a plate's rim, of the ``count`` that there are."""
-    low, high = np.floor(first) - _RIM_PX, np.ceil(last) + _RIM_PX + 1
-    return int(min(max(low, 0.0), count)), int(min(max(high, 0.0), count))
+    x, y, z = np.moveaxis(in_eye, -1, 0)
+    near = z <= _NEAREST_M
+    least_x, most_x, least_y, most_y = (_ASIDE * extreme * z for extreme in widest)
+    beside = [(x < least_x), (x > most_x), (y < least_y), (y > most_y), near]
+    hidden = np.any([one.all(axis=2) for one in beside], axis=0).all(axis=1)
+    hidden |= ((X_EPs[..., :3, 2] * X_EPs[..., :3, 3]).sum(axis=-1) >= 0.0).any(axis=1)
+    pixels = lens.project(in_eye.reshape(-1, 3)).reshape(in_eye.shape[0], -1, 2)
+    whole = near.any(axis=(1, 2))[:, None]
+    low = np.where(whole, 0.0, np.floor(pixels.min(axis=1)) - _RIM_PX)
+    high = np.where(whole, size, np.ceil(pixels.max(axis=1)) + _RIM_PX + 1.0)
+    edges = np.clip(np.stack([low, high], axis=1), 0.0, size)[..., ::-1].astype(np.int64)
+    return np.where(hidden[:, None], 0, np.swapaxes(edges, 1, 2).reshape(-1, 4))

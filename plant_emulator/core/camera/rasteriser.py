@@ -18,7 +18,6 @@ from plant_emulator.core.camera.rays import (
     Surface,
     bent,
     fetch_rays,
-    highlight,
     meet_plate,
     places_on_plate,
     row_homography,
@@ -44,11 +43,10 @@ class Grid(NamedTuple):
 
 
 class _Room(NamedTuple):
-    """Where a row's homography, its pixels' places, which are on the rim and shares in cells are noted."""
+    """Where a row's homography, its pixels' places and their shares in cells are noted."""
 
     h: Real64
     places: Real64
-    on_rim: NDArray[np.bool_]
     weight_x: Real64
     weight_y: Real64
 
@@ -63,59 +61,8 @@ def paint_plate(
     """
     rows, columns = grid.grey.shape
     width = box[3] - box[2]
-    room = _Room(
-        np.empty((3, 3)), np.empty((3, width)), np.empty(width, np.bool_), np.empty(columns), np.empty(rows)
-    )
-    even = rows * columns == 1 and surface.bend[0] == 0.0 and surface.glare[3] == 0.0
-    (_paint_even_rows if even else _paint_rows)(out, rays, homographies, grid, box, surface, room)
-
-
-@allocation_free(nogil=True)
-def _paint_even_rows(
-    out: Grey,
-    rays: Rays,
-    homographies: Real64,
-    grid: Grid,
-    box: tuple[int, int, int, int],
-    surface: Surface,
-    room: _Room,
-) -> None:
-    """``_paint_rows``, to the same bit, of a flat matt plate of one cell: all but its rim at once."""
-    light, _, shadow, _ = surface
-    top, bottom, left, right = box
-    for i in range(top, bottom):
-        fetch_rays(rays, i + 1, left, right)
-        row_homography(homographies, i, out.shape[0], room.h)
-        reach = most_reach(rays, room.h, i, (left, right))
-        places_on_plate(rays.x[i, left:right], rays.y[i, left:right], room.h, room.places)
-        _paint_whole(out[i, left:right], grid, surface, reach, room)
-        for k in range(right - left):
-            if room.on_rim[k]:
-                s, t = room.places[0, k], room.places[1, k]
-                lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), 0.0
-                at, under = meet_plate(rays, room.h, i, left + k), np.float64(out[i, left + k])
-                value = _blended(at, (s, t), grid, room, (0, 0), lit, under)
-                out[i, left + k] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
-
-
-@allocation_free
-def _paint_whole(target: Grey, grid: Grid, surface: Surface, reach: tuple[float, float], room: _Room) -> None:
-    """Paint what of a row is wholly on the only cell, and note what is on its rim."""
-    (left, right), (top, bottom) = (grid.edges_x[0], grid.edges_x[1]), (grid.edges_y[0], grid.edges_y[1])
-    (reach_s, reach_t), grey, shadow, on_rim = reach, np.float64(grid.grey[0, 0]), surface.shadow, room.on_rim
-    s, t, w = room.places[0], room.places[1], room.places[2]
-    even, per_s, per_t = surface.light[0], surface.light[1], surface.light[2]
-    for k in range(target.shape[0]):
-        across = (s[k] + reach_s > left) & (s[k] - reach_s < right)
-        down = (t[k] + reach_t > top) & (t[k] - reach_t < bottom)
-        whole_across = (left <= s[k] - reach_s) & (s[k] + reach_s <= right)
-        whole_down = (top <= t[k] - reach_t) & (t[k] + reach_t <= bottom)
-        in_front = w[k] > _NEAR
-        whole = whole_across & whole_down & in_front
-        on_rim[k] = across & down & in_front & (not whole)
-        value = grey * ((even + per_s * s[k] + per_t * t[k]) * shaded(s[k], t[k], shadow))
-        painted = np.uint8(np.int32(min(max(value, 0.0), 255.0) + 0.5))
-        target[k] = painted if whole else target[k]
+    room = _Room(np.empty((3, 3)), np.empty((3, width)), np.empty(columns), np.empty(rows))
+    _paint_rows(out, rays, homographies, grid, box, surface, room)
 
 
 @allocation_free(nogil=True)
@@ -128,14 +75,14 @@ def _paint_rows(
     surface: Surface,
     room: _Room,
 ) -> None:
-    light, bend, shadow, glare = surface
+    light, bend, shadow = surface
     edges_x, edges_y, grey = grid
     top, bottom, left, right = box
     h, places = room.h, room.places
     for i in range(top, bottom):
         fetch_rays(rays, i + 1, left, right)
         row_homography(homographies, i, out.shape[0], h)
-        reach_s, reach_t = most_reach(rays, h, i, (left, right))
+        reach_s, reach_t = _most_reach(rays, h, i, (left, right))
         places_on_plate(rays.x[i, left:right], rays.y[i, left:right], h, places)
         column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
         for k in range(right - left):
@@ -144,12 +91,12 @@ def _paint_rows(
                 continue
             if bend[0] != 0.0:
                 s, t = bent(s, t, bend)
-            if beyond(s, reach_s, edges_x) or beyond(t, reach_t, edges_y):
+            if _beyond(s, reach_s, edges_x) or _beyond(t, reach_t, edges_y):
                 continue
             column, row = _first_cell(edges_x, s - reach_s, column), _first_cell(edges_y, t - reach_t, row)
-            lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), highlight(s, t, glare)
-            if within(s, reach_s, edges_x, column) and within(t, reach_t, edges_y, row):
-                value = grey[row, column] * lit[0] + lit[1]
+            lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow)
+            if _within(s, reach_s, edges_x, column) and _within(t, reach_t, edges_y, row):
+                value = grey[row, column] * lit
             else:
                 at, under = meet_plate(rays, h, i, left + k), np.float64(out[i, left + k])
                 value = _blended(at, (s, t), grid, room, (column, row), lit, under)
@@ -157,7 +104,7 @@ def _paint_rows(
 
 
 @allocation_free
-def most_reach(rays: Rays, h: Real64, i: int, columns: tuple[int, int]) -> tuple[float, float]:
+def _most_reach(rays: Rays, h: Real64, i: int, columns: tuple[int, int]) -> tuple[float, float]:
     """More than half a pixel's extent on the plate, right and down (m), anywhere in ``columns`` of row ``i``.
 
     The extent grows with the inverse square of the nearness, which is linear along the row: it is largest at
@@ -174,13 +121,13 @@ def most_reach(rays: Rays, h: Real64, i: int, columns: tuple[int, int]) -> tuple
 
 
 @allocation_free(inline="always")
-def beyond(place: float, reach: float, edges: Real64) -> bool:
+def _beyond(place: float, reach: float, edges: Real64) -> bool:
     """Whether nothing of a pixel is on the plate."""
     return bool(place + reach <= edges[0] or place - reach >= edges[-1])
 
 
 @allocation_free(inline="always")
-def within(place: float, reach: float, edges: Real64, cell: int) -> bool:
+def _within(place: float, reach: float, edges: Real64, cell: int) -> bool:
     """Whether all of a pixel is in one cell."""
     return bool(edges[cell] <= place - reach and place + reach <= edges[cell + 1])
 
@@ -192,7 +139,7 @@ def _blended(
     grid: Grid,
     room: _Room,
     cell: tuple[int, int],
-    lit: tuple[float, float],
+    lit: float,
     under: float,
 ) -> float:
     """The grey of a pixel where cells, or the plate and what is ``under`` it, meet; ``cell`` is a guess."""
@@ -200,8 +147,8 @@ def _blended(
     s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
     s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
     column, row = _first_cell(edges_x, s - s_reach, cell[0]), _first_cell(edges_y, t - t_reach, cell[1])
-    if within(s, s_reach, edges_x, column) and within(t, t_reach, edges_y, row):
-        return float(grey[row, column] * lit[0] + lit[1])
+    if _within(s, s_reach, edges_x, column) and _within(t, t_reach, edges_y, row):
+        return float(grey[row, column] * lit)
     last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
     last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
     total = alpha = 0.0
@@ -209,7 +156,7 @@ def _blended(
         for m in range(column, last_column):
             alpha += weight_y[k] * weight_x[m]
             total += weight_y[k] * weight_x[m] * grey[k, m]
-    return total * lit[0] + alpha * lit[1] + (1.0 - alpha) * under
+    return total * lit + (1.0 - alpha) * under
 
 
 @allocation_free(inline="always")

@@ -1,6 +1,5 @@
 """The rays of an eye's pixels, and where they meet a plate."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -35,13 +34,12 @@ class Surface(NamedTuple):
 
     ``light`` (3,) = (constant, per metre right, per metre down) multiplies the grey. ``bend`` (6,) =
     (curvature 1/m, its direction: right, down; the eye's foot on the plate: right, down (m); its height (m)).
-    ``shadow`` (4,) and ``glare`` (4,) as ``lighting`` makes them.
+    ``shadow`` (4,) as ``shadow_on`` makes it.
     """
 
     light: Real64
     bend: Real64
     shadow: Real64
-    glare: Real64
 
 
 class PlatePoint(NamedTuple):
@@ -72,14 +70,6 @@ def shaded(s: float, t: float, shadow: Real64) -> float:
         return 1.0
     beyond = shadow[0] * s + shadow[1] * t + shadow[2] + 0.5
     return float(shadow[3] + (1.0 - shadow[3]) * min(max(beyond, 0.0), 1.0))
-
-
-@allocation_free(inline="always")
-def highlight(s: float, t: float, glare: Real64) -> float:
-    """The grey that glare adds at (s, t)."""
-    if glare[3] == 0.0:
-        return 0.0
-    return float(glare[3] * math.exp(-glare[2] * ((s - glare[0]) ** 2 + (t - glare[1]) ** 2)))
 
 
 @allocation_free(inline="always")

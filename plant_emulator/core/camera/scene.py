@@ -102,9 +102,7 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
         bits = np.pad(bits, _QUIET_CELLS, constant_values=True)
         outer = printed_side(config) / 2.0 + config.quiet_zone_m
         edges = np.concatenate([[-outer], edges, [outer]])
-    return Plate(
-        X_parent_plate, edges, edges, printed_greys(bits), lit_by_wall, bend=marker_bend(config), glossy=True
-    )
+    return Plate(X_parent_plate, edges, edges, printed_greys(bits), lit_by_wall, bend=marker_bend(config))
 
 
 class Cover(NamedTuple):
@@ -169,8 +167,7 @@ class Scene:
     @property
     def shaded(self) -> bool:
         """Whether light depends on where in the scene a plate is."""
-        lighting = self.config.lighting
-        return lighting.shadow.factor != 1.0 or lighting.glare.strength_grey != 0.0
+        return self.config.lighting.shadow.factor != 1.0
 
     @cached_property
     def wall_plates(self) -> tuple[Plate, ...]:
@@ -191,10 +188,6 @@ class Scene:
     def passing(self, time_s: float) -> tuple[Plate, ...]:
         """Outlines, in O, of what moves before the wall, at ``time_s``."""
         return tuple(front_of(passer.size_m, passer.place_m(time_s)) for passer in self.config.passers)
-
-    def hiding(self, time_s: float) -> tuple[Plate, ...]:
-        """Outlines, in O, of everything that hides points of the wall at ``time_s``."""
-        return (*self.standing, *self.passing(time_s))
 
     def marker_corners(self) -> dict[int, tuple[Literal["O", "M"], Matrix]]:
         """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""

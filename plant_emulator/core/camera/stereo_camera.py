@@ -1,6 +1,5 @@
 """The stereo camera as it truly is: renders what its two eyes see, and projects points exactly."""
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -9,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.config.camera import AutoExposureConfig, CameraConfig
+from plant_emulator.config.camera import CameraConfig
 from plant_emulator.config.surroundings import WallConfig
 from plant_emulator.core.camera import rasteriser
 from plant_emulator.core.camera.exposures import STILL, CameraMotion, CameraView, Capture, Shot
@@ -23,45 +22,13 @@ Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
 Noise = NDArray[np.int16]
 
-_NAMES = ("left", "right")
 _WHITE = 255
-_LEAST_GAIN, MOST_GAIN = 0.25, 8.0  # [E]
-
-
-class AutoExposure:
-    """The servo that keeps pictures as bright as wanted; both eyes share it.
-
-    Its gain depends on the pictures before: it is deterministic for the sequence of them.
-    """
-
-    def __init__(self, config: AutoExposureConfig) -> None:
-        self._config = config
-        self._time_ns: int | None = None
-        self._gain = 1.0
-
-    def gain(self, picture: Grey, brightness: float, capture_ns: int) -> float:
-        """The gain of ``capture_ns``; the first picture that shows a new capture moves the servo.
-
-        ``picture`` times ``brightness`` is the light that it meters.
-        """
-        config = self._config
-        if not config.enabled or capture_ns == self._time_ns:
-            return self._gain
-        target_gain = config.mean_grey / max(brightness * float(picture.mean()), 1.0)
-        target_gain = min(max(target_gain, _LEAST_GAIN), MOST_GAIN)
-        if self._time_ns is None or capture_ns < self._time_ns:
-            self._gain = target_gain  # it has been running since long before
-        else:
-            share = 1.0 - math.exp(-1e-9 * (capture_ns - self._time_ns) / config.time_constant_s)
-            self._gain *= (target_gain / self._gain) ** share
-        self._time_ns = capture_ns
-        return self._gain
 
 
 class Imager:
     """What one eye's lens and sensor make of the light: ``centre`` (2,) px of its vignetting."""
 
-    def __init__(self, config: CameraConfig, eye: int, centre: NDArray[np.float64], noise: Noise) -> None:
+    def __init__(self, config: CameraConfig, centre: NDArray[np.float64], noise: Noise) -> None:
         self._noise = noise
         self._centre = (float(centre[0]), float(centre[1]))
         self._falloff = config.vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
@@ -69,17 +36,13 @@ class Imager:
         levels = np.arange(_WHITE + 2) / _WHITE
         self._response = (_WHITE * np.minimum(levels, 1.0) ** config.response_gamma).astype(np.float32)
         self._straight = config.response_gamma == 1.0
-        self._dirt = _dirt(config, _NAMES[eye])
 
     def expose(self, picture: Grey, key: int, gain: float) -> None:
         """Turn the light in ``picture`` into grey levels, in place; ``key`` chooses the noise."""
-        if self._straight and self._dirt is None:
+        if self._straight:
             self.sense(picture, key, gain, self._falloff)
             return
-        height, width = picture.shape
-        passed, added = self._dirt or (np.ones((1, 1), np.float32), np.zeros((1, 1), np.float32))
-        passed, added = (np.broadcast_to(part, (height, width)) for part in (passed, added))
-        _expose(picture, passed, added, gain, self._falloff, self._centre, self._response)
+        _expose(picture, gain, self._falloff, self._centre, self._response)
         self.sense(picture, key, 1.0, 0.0)
 
     def sense(self, picture: Grey, key: int, gain: float, falloff: float) -> None:
@@ -88,38 +51,17 @@ class Imager:
             rasteriser.finish(picture, self._noise, key, gain, falloff, *self._centre)
 
 
-def _dirt(config: CameraConfig, eye: str) -> tuple[Real32, Real32] | None:
-    """The shares of light (height, width) that the dirt on this eye lets pass, and the grey that it adds."""
-    spots = [spot for spot in config.dirt if spot.eye == eye]
-    if not spots:
-        return None
-    v, u = np.mgrid[0 : config.height_px, 0 : config.width_px]
-    passed, added = np.ones(v.shape), np.zeros(v.shape)
-    for spot in spots:
-        far = ((u - spot.centre_px[0]) ** 2 + (v - spot.centre_px[1]) ** 2) / spot.radius_px**2
-        cover = np.exp(-0.5 * far)
-        passed *= 1.0 - (1.0 - spot.transmission) * cover
-        added += spot.scatter_grey * cover
-    return passed.astype(np.float32), added.astype(np.float32)
-
-
 @kernel(nogil=True)
 def _expose(
-    picture: Grey,
-    passed: Real32,
-    added: Real32,
-    gain: float,
-    falloff: float,
-    centre: tuple[float, float],
-    response: Real32,
+    picture: Grey, gain: float, falloff: float, centre: tuple[float, float], response: Real32
 ) -> None:
-    """Dirt, vignetting, gain, saturation and response curve, in place."""
+    """Vignetting, gain, saturation and response curve, in place."""
     black, white, half = np.float32(0.0), np.float32(_WHITE), np.float32(0.5)
     for i in range(picture.shape[0]):
-        row, passes, adds, vertical = picture[i], passed[i], added[i], (i - centre[1]) ** 2
+        row, vertical = picture[i], (i - centre[1]) ** 2
         for j in range(row.shape[0]):
             r2 = (j - centre[0]) ** 2 + vertical
-            falls = (row[j] * passes[j] + adds[j]) * np.float32(gain * (1.0 - falloff * r2))
+            falls = row[j] * np.float32(gain * (1.0 - falloff * r2))
             light = np.float32(min(max(falls, black), white))
             k = np.intp(light)
             part = light - np.float32(k)
@@ -133,8 +75,7 @@ _NOISE_STREAM = 0x6E6F697365
 
 
 class StereoCamera:
-    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id),
-    with auto exposure for the sequence of pictures.
+    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id).
 
     Poses are 4x4: ``X_WC`` of the left eye and ``X_WM`` of the tool marker in the world W, OpenCV axes for
     the camera. ``motion`` matters only with a rolling shutter; the poses are those at the
@@ -150,15 +91,12 @@ class StereoCamera:
         generator = np.random.default_rng((seed, _NOISE_STREAM))
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
         noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
-        self._imagers = [Imager(config, k, eye.lens.centre, noise) for k, eye in enumerate(self.eyes)]
-        self._exposure = AutoExposure(config.auto_exposure)
+        self._imagers = [Imager(config, eye.lens.centre, noise) for eye in self.eyes]
 
-    def render(
-        self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: CameraMotion = STILL
-    ) -> tuple[Grey, Grey]:
+    def render(self, X_WC: Matrix, X_WM: Matrix, frame_id: int) -> tuple[Grey, Grey]:
         """The two eyes' pictures (left, right), each (height, width) uint8."""
         view = CameraView(X_WC, X_WM)
-        return self.render_eye(LEFT, view, frame_id, motion), self.render_eye(RIGHT, view, frame_id, motion)
+        return self.render_eye(LEFT, view, frame_id), self.render_eye(RIGHT, view, frame_id)
 
     def take(self, shot: Shot) -> tuple[Grey, Grey]:
         """The two eyes' pictures of ``shot``. Raises RequestRefused when it covers a marker unknown here."""
@@ -198,8 +136,7 @@ class StereoCamera:
         if config.blur_px > 0.0:
             size = 2 * int(np.ceil(2.5 * config.blur_px)) + 1
             cv2.GaussianBlur(picture, (size, size), config.blur_px, dst=picture)
-        gain = config.exposure_gain * self._exposure.gain(picture, config.exposure_gain, capture.capture_ns)
-        self._imagers[eye].expose(picture, self._key(eye, capture.frame_id), gain)
+        self._imagers[eye].expose(picture, self._key(eye, capture.frame_id), config.exposure_gain)
         return picture
 
     def _even(self, grey: int, eye: int, frame_id: int) -> Grey:

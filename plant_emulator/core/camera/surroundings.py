@@ -6,19 +6,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.camera import GlareConfig, ShadowConfig
+from plant_emulator.config.camera import ShadowConfig
 from plant_emulator.config.surroundings import (
     BlockConfig,
     PasserConfig,
     WallConfig,
 )
-from plant_emulator.core.camera.plates import Plate, halved, plain_plate
+from plant_emulator.core.camera.plates import Plate, plain_plate
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 
 Array = NDArray[np.float64]
 
 NO_SHADOW = np.array([0.0, 0.0, 0.0, 1.0])
-NO_GLARE = np.zeros(4)
 
 
 def shadow_on(config: ShadowConfig, X_OP: Array, edge_m: float) -> Array:
@@ -34,32 +33,16 @@ def shadow_on(config: ShadowConfig, X_OP: Array, edge_m: float) -> Array:
     return np.append(beyond, config.factor)
 
 
-def glare_on(config: GlareConfig, X_OP: Array, eye_P: Array) -> Array:
-    """(place right, down (m), half the inverse variance, grey) of the highlight on a plate at X_OP (4x4).
-
-    ``eye_P`` (3,): the eye in the plate's axes. A mirror shows the lamp where the way there and on to the
-    eye is shortest.
-    """
-    if config.strength_grey == 0.0:
-        return NO_GLARE
-    lamp_P = X_OP[:3, :3].T @ (np.array(config.lamp_m) - X_OP[:3, 3])
-    if lamp_P[2] <= 0.0 or eye_P[2] <= 0.0:
-        return NO_GLARE
-    x, y = (eye_P[:2] * lamp_P[2] + lamp_P[:2] * eye_P[2]) / (lamp_P[2] + eye_P[2])
-    return np.array([x, -y, 0.5 / config.width_m**2, config.strength_grey])
-
-
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 
-_TEXEL_M = 0.002
-_MULTIPLE = 64  # texels: of this both sides of a picture are multiples, and its largest clouds so wide
-_LEVELS = 4  # always as many: the painter is compiled for their number
+_TEXEL_M = 0.004
+_MULTIPLE = 32  # texels: of this both sides of a picture are multiples, and its largest clouds so wide
 _SIDE_LIGHT = 0.5  # of a block's sides, as a share of the wall's mean
 
 
 def rough_picture(seed: int, size_m: tuple[float, float], mean_grey: float, contrast_grey: float) -> Grey:
-    """A rough surface as wide as ``size_m`` and at least as high: clouds of every size from 2 mm to 13 cm."""
+    """A rough surface as wide as ``size_m`` and at least as high: clouds of every size from 4 mm to 13 cm."""
     generator = np.random.default_rng(seed)
     width = _MULTIPLE * max(round(size_m[0] / _TEXEL_M / _MULTIPLE), 1)
     height = _MULTIPLE * math.ceil(size_m[1] * width / size_m[0] / _MULTIPLE)
@@ -107,5 +90,9 @@ def passer_plate(passer: PasserConfig) -> Plate:
 
 
 def _covered(outline: Plate, picture: Grey, lit_by_wall: bool) -> Plate:
-    """The outline filled with a picture as wide as it and at least as high."""
-    return outline._replace(lit_by_wall=lit_by_wall, levels=halved(picture, _LEVELS))
+    """The outline filled with a picture as wide as it and at least as high, a cell for each of its texels."""
+    (left, right), (top, bottom) = outline.edges_x, outline.edges_y
+    edges_x, texel_m = np.linspace(left, right, picture.shape[1] + 1, retstep=True)
+    edges_y = np.append(np.arange(top, bottom - 1e-6, float(texel_m)), bottom)
+    grey = picture[: len(edges_y) - 1].astype(np.float32)
+    return Plate(outline.X_parent_plate, edges_x, edges_y, grey, lit_by_wall)

@@ -64,10 +64,3 @@ def test_a_broken_rim_is_wider_here_and_there_only() -> None:
     broken, _ = around(drilled(0.5, 0.2), wall_view(drilled(0.5, 0.2).scene, 1.0))
     more = (broken < 60.0).sum() / (whole < 60.0).sum()
     assert 1.01 < more < 1.44
-
-
-def test_a_scene_without_holes_is_painted_as_ever() -> None:
-    eyes = clean(drill_holes=[])
-    far = clean(drill_holes=[{"centre_m": [30.0, 30.0], "diameter_mm": 45.0, "depth_m": 1.0}])
-    view = wall_view(eyes.scene, 1.0)
-    assert np.array_equal(eyes.render_eye(LEFT, view, 1), far.render_eye(LEFT, view, 1))

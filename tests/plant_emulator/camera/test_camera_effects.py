@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.camera import stereo_camera
 from plant_emulator.core.camera.exposures import CameraView, motion_between
-from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera.camera_world import (
@@ -44,12 +43,6 @@ def test_motion_carries_one_view_into_the_next() -> None:
     )
 
 
-def test_a_still_camera_shows_no_skew() -> None:
-    view = start_view(clean_camera().scene)
-    effects = clean(camera={"shutter": {"kind": "rolling"}})
-    assert np.array_equal(effects.render_eye(LEFT, view, 1), clean_camera().render_eye(LEFT, view, 1))
-
-
 @pytest.mark.parametrize("width_px", [0.6, 1.5])
 def test_the_point_spread_is_as_wide_as_configured(width_px: float) -> None:
     plate = even_plate((-0.4, 0.0), (0.3, 0.3), 220.0)
@@ -75,25 +68,6 @@ def test_a_misprinted_marker_is_as_large_as_it_was_printed() -> None:
         assert corners is not None
         sides.append(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
     np.testing.assert_allclose(sides[1] / sides[0], 1.03, atol=1e-3)
-
-
-def test_a_turned_right_eye_sees_a_turned_picture() -> None:
-    view = start_view(clean_camera().scene)
-    level, turned = (
-        clean(camera={"rectification": {"right_eye_rotation_deg": [0.0, 0.0, roll_deg]}})
-        for roll_deg in (0.0, 1.0)
-    )
-    found = [
-        refined_corners(eyes.render_eye(RIGHT, view, 1), eyes.project_corners(*view)[3][RIGHT], 4, 6.0)
-        for eyes in (level, turned)
-    ]
-    before, after = found
-    assert before is not None
-    assert after is not None
-    way = [corners[1] - corners[0] for corners in (before, after)]
-    angles = np.degrees([np.arctan2(w[1], w[0]) for w in way])
-    assert angles[1] - angles[0] == pytest.approx(-1.0, abs=0.05)
-    assert np.array_equal(level.render_eye(LEFT, view, 1), turned.render_eye(LEFT, view, 1))
 
 
 def spread(profile: np.ndarray) -> float:
@@ -148,24 +122,3 @@ def test_exposure_scales_and_saturates() -> None:
     dim, bright = (clean(camera={"exposure_gain": gain}).render_eye(LEFT, view, 1) for gain in (0.5, 4.0))
     assert np.abs(dim - plain * 0.5).max() <= 1.0
     assert (bright[plain > 64] == 255).all()
-
-
-def test_low_contrast_is_as_low_as_configured() -> None:
-    view = wall_view(clean_camera().scene, 0.5)
-    patches = [clean(wall={"contrast_grey": c}).render_eye(LEFT, view, 1)[600:, 100:500] for c in (20.0, 4.0)]
-    assert patches[1].std() == pytest.approx(patches[0].std() / 5.0, rel=0.05)
-
-
-def test_light_becomes_grey_as_dirt_vignetting_gain_and_curve_say() -> None:
-    """Against the same in double precision: rounded, not cut off."""
-    rng = np.random.default_rng(4)
-    picture = rng.integers(0, 256, (40, 60)).astype(np.uint8)
-    passed, added = rng.uniform(0.6, 1.0, (40, 60)), rng.uniform(0.0, 15.0, (40, 60))
-    response = 255.0 * np.minimum(np.arange(257) / 255.0, 1.0) ** 0.6
-    v, u = np.mgrid[0:40, 0:60]
-    falls = 1.3 * (1.0 - 1e-4 * ((u - 28.5) ** 2 + (v - 21.0) ** 2))
-    light = np.clip((picture * passed + added) * falls, 0.0, 255.0)
-    expected = np.interp(light, np.arange(257), response)
-    single = [part.astype(np.float32) for part in (passed, added, response)]
-    stereo_camera._expose(picture, single[0], single[1], 1.3, 1e-4, (28.5, 21.0), single[2])
-    assert np.abs(picture - expected).max() < 0.501

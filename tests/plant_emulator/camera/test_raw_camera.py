@@ -5,8 +5,7 @@ it.
 import cv2
 import numpy as np
 
-from plant_emulator.core.camera.rays import Lens
-from tests.plant_emulator.camera.camera_world import CLEAN, camera, clean_camera, start_view
+from tests.plant_emulator.camera.camera_world import CLEAN, camera, start_view
 
 RAW = {
     "lens": {"fx_px": 533.4, "fy_px": 532.7, "cx_px": 651.6, "cy_px": 348.3, "k1": -0.12, "k2": 0.02,
@@ -52,8 +51,3 @@ def test_a_plate_is_painted_as_far_as_its_bent_sides_reach() -> None:
     assert corners - seen[inside, 1].min() > 10.0  # the side does bulge
     for u, v in seen[inside].round().astype(int):
         assert picture[v, u] > 150
-
-
-def test_the_shipped_lens_does_not_bend() -> None:
-    assert not any(eye.lens.bends for eye in clean_camera().eyes)
-    assert isinstance(clean_camera().eyes[0].lens, Lens)

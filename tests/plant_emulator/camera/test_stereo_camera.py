@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.camera.scene import rotation_matrix
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
-from plant_emulator.core.mechanics.geometry import transform
 from tests.plant_emulator.camera.camera_world import (
-    FACING,
     CameraView,
     camera,
     clean_camera,
@@ -62,37 +59,6 @@ def test_noise_has_the_configured_strength_and_no_memory() -> None:
     assert abs(np.corrcoef(rows[:-1].ravel(), rows[1:].ravel())[0, 1]) < 0.01
 
 
-def test_the_shipped_start_pose_shows_all_markers() -> None:
-    left, right = rendered(shipped_camera(), start_view(shipped_camera().scene))
-    assert seen_ids(left) == {0, 1, 2, 3}
-    assert seen_ids(right) >= {0, 1, 3}  # the tool hides the second one from the right eye
-
-
-def test_a_plate_reaches_exactly_as_far_as_its_edge() -> None:
-    """Outside the projected plate nothing of the wall changes; inside nothing of it is left."""
-    eyes = clean_camera()
-    view = start_view(eyes.scene)
-    away = CameraView(view.X_WC, view.X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
-    difference = rendered(eyes, view)[LEFT] != rendered(eyes, away)[LEFT]
-    tool = eyes.scene.config.tool_marker
-    outer = tool.side_m * (1.0 + tool.print_scale_error) / 2.0 + tool.quiet_zone_m
-    corners = np.array(
-        [[-outer, outer, 0.0], [outer, outer, 0.0], [outer, -outer, 0.0], [-outer, -outer, 0.0]]
-    )
-    image, _ = eyes.project(view.X_WC, corners @ view.X_WM[:3, :3].T + view.X_WM[:3, 3])
-    columns = np.flatnonzero(difference.any(axis=0))
-    rows = np.flatnonzero(difference.any(axis=1))
-    assert columns[0] == pytest.approx(image[:, 0].min(), abs=1.5)
-    assert columns[-1] == pytest.approx(image[:, 0].max(), abs=1.5)
-    assert rows[0] == pytest.approx(image[:, 1].min(), abs=1.5)
-    inner = image.mean(axis=0) + 0.95 * (image - image.mean(axis=0))
-    mask = cv2.fillConvexPoly(np.zeros((720, 1280), np.uint8), np.rint(inner).astype(np.int32), 1).astype(
-        bool
-    )
-    assert set(np.unique(rendered(eyes, view)[LEFT][mask])) >= {22, 208}
-    assert difference[mask].mean() > 0.98
-
-
 @pytest.mark.parametrize("distance", [0.5, 0.9, 1.7, 3.2])
 def test_the_wall_lies_where_its_texture_says_at_every_mip_level(distance: float) -> None:
     """A patch looked up through the projection matches the texture itself, to a fiftieth of a pixel."""
@@ -135,29 +101,6 @@ def shift_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return np.asarray(solution[:2])
 
 
-@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0])
-def test_optical_flow_on_the_noisy_wall_is_the_true_flow(distance: float) -> None:
-    """A grid of points tracked over 15 mm of sideways motion lands where projective geometry says."""
-    eyes = shipped_camera()
-    before = wall_view(eyes.scene, distance, (5.0, -4.0, 2.0))
-    after = CameraView(before.X_WC @ transform(np.eye(3), np.array([0.015, 0.005, 0.0])), before.X_WM)
-    first, second = rendered(eyes, before, 1)[LEFT], rendered(eyes, after, 2)[LEFT]
-    x, y = np.meshgrid(np.linspace(-0.8, 0.8, 15), np.linspace(-0.45, -0.15, 7))
-    X_WO = eyes.scene.mounts.X_WO
-    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * distance
-    points = points @ X_WO[:3, :3].T + X_WO[:3, 3]
-    (start, _), (end, _) = eyes.project(before.X_WC, points), eyes.project(after.X_WC, points)
-    inside = ((start > 40.0) & (start < [1240.0, 680.0])).all(axis=1)
-    found, status, _ = cv2.calcOpticalFlowPyrLK(
-        first, second, start[inside].astype(np.float32)[:, None], None, winSize=(21, 21), maxLevel=3
-    )
-    error = np.linalg.norm(found[:, 0] - end[inside], axis=1)
-    assert inside.sum() > 40
-    assert status.mean() == 1.0
-    assert np.median(error) < 0.06
-    assert np.percentile(error, 95) < 0.2
-
-
 def test_rays_beside_the_wall_see_the_sky() -> None:
     eyes = clean_camera()
     view = wall_view(eyes.scene, 1.0, (0.0, 75.0, 0.0))
@@ -184,27 +127,3 @@ def test_lighting_changes_along_the_wall() -> None:
         (where,), _ = eyes.project(view.X_WC, np.array([[x, -0.3, 0.0]]) @ X_WO[:3, :3].T + X_WO[:3, 3])
         column, row = np.rint(where).astype(int)
         assert picture[row, column] == pytest.approx(100.0 * (1.0 + 0.2 * x), abs=1.0)
-
-
-def mount_turned(eyes: StereoCamera, rotation_deg: tuple[float, float, float]) -> CameraView:
-    """The start pose with a camera mount turned about its nominal place."""
-    X_TC = transform(rotation_matrix(rotation_deg), np.array([-0.20, -0.05, -0.40]))
-    view = start_view(eyes.scene)
-    X_WT = view.X_WC @ np.linalg.inv(eyes.scene.mounts.X_TC)
-    return CameraView(X_WT @ X_TC, view.X_WM)
-
-
-@pytest.mark.parametrize(
-    "axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 1, 1), (-1, 1, 1)]
-)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_tool_marker_stays_in_view_with_the_mount_turned_by_ten_degrees(
-    axis: tuple[int, int, int], sign: float
-) -> None:
-    eyes = clean_camera()
-    x, y, z = sign * 10.0 * np.array(axis) / np.linalg.norm(axis)
-    view = mount_turned(eyes, (x, y, z))
-    left, right = eyes.project_corners(view.X_WC, view.X_WM)[0]
-    for corners in (left, right):
-        assert (corners > 10.0).all()
-        assert (corners < [1270.0, 710.0]).all()

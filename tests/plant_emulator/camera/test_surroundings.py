@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -41,28 +40,6 @@ def column_of(eyes: StereoCamera, view: CameraView, x: float, y: float, z: float
     point = (eyes.scene.mounts.X_WO @ [x, y, z, 1.0])[None, :3]
     (pixel,), _ = eyes.project(view.X_WC, point)
     return float(pixel[0]), float(pixel[1])
-
-
-def disparity(left: np.ndarray, right: np.ndarray, column: int, row: int) -> float:
-    """u_left - u_right of a patch, by normalised correlation and a parabola through its peak."""
-    patch = left[row - 20 : row + 21, column - 20 : column + 21]
-    strip = right[row - 20 : row + 21, column - 170 : column + 21]
-    score = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)[0]
-    best = int(score.argmax())
-    before, peak, after = score[best - 1 : best + 2]
-    return float(150 - best - 0.5 * (before - after) / (before - 2.0 * peak + after))
-
-
-def test_a_block_stands_out_by_its_depth() -> None:
-    """The stereo disparity of its face, and of the wall beside it, as triangulation demands."""
-    block = {"centre_m": [-0.55, -0.1], "size_m": [0.3, 0.4], "depth_m": 0.2}
-    eyes = clean(wall={"blocks": [block]}, camera=CLEAN["camera"] | IDEAL)
-    view = wall_view(eyes.scene, 1.2)
-    left, right = eyes.render(view.X_WC, view.X_WM, 1)
-    for x, z in ((-0.55, 0.2), (-0.95, 0.0)):
-        column, row = (round(value) for value in column_of(eyes, view, x, -0.1, z))
-        expected = eyes.config.lens.fx_px * eyes.config.baseline_m / (1.2 - z)
-        assert disparity(left, right, column, row) == pytest.approx(expected, abs=0.1)
 
 
 def test_a_blocks_face_ends_at_its_edges_and_shows_its_sides() -> None:

@@ -74,18 +74,6 @@ def test_two_lenses_leave_the_disparity_residual_that_opencv_computes() -> None:
     assert np.abs(residual[1][RIGHT] - residual[0][RIGHT]).max() > 0.5
 
 
-def test_the_right_eyes_picture_shows_its_own_lens() -> None:
-    eyes = with_camera(lens_difference=DIFFERENT | {"k1": 0.004})
-    view = start_view(eyes.scene)
-    picture = eyes.render_eye(RIGHT, view, 1)
-    whole = TrueView(eyes.config, eyes.scene).markers(Capture(1, 0, view))
-    seen = {marker: both.right for marker, both in whole.items() if both.right is not None}
-    assert len(seen) >= 3
-    for marker, expected in seen.items():
-        assert np.abs(found_in(picture, expected) - expected).max() < FOUND_PX, marker
-    assert np.array_equal(eyes.render_eye(LEFT, view, 1), clean_camera().render_eye(LEFT, view, 1))
-
-
 def test_drift_begins_at_zero_and_spreads_as_a_first_order_walk() -> None:
     config = scene_config({"camera": {"drift": {"disparity_px": 0.2, "vertical_px": 0.1}}}).camera.drift
     at_s = (600.0, 6000.0)

@@ -63,15 +63,6 @@ def test_a_bad_sample_is_refused_by_name(spoil: Spoil, cause: str, named: str) -
     assert caught.value.cause == cause
 
 
-def test_mismatched_counts_are_refused() -> None:
-    scene = random_scene(np.random.default_rng(1), 8)
-    with pytest.raises(RequestRefused, match="8 hand poses but 7 camera poses") as caught:
-        pose_pairs(scene.X_BT, scene.P()[:7])
-    assert caught.value.cause == "refused.hand_eye.count"
-    with pytest.raises(RequestRefused, match="must be"):
-        pose_pairs(scene.X_BT[0], scene.P()[0])
-
-
 def test_rounded_rotations_are_made_exact() -> None:
     scene = random_scene(np.random.default_rng(2), 8)
     pairs = pose_pairs(np.round(scene.X_BT, 4), np.round(scene.P(), 4))

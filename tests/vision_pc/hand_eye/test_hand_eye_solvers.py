@@ -13,9 +13,9 @@ from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import pose_pairs
-from vision_pc.core.hand_eye.solvers import classical, methods
-from vision_pc.core.hand_eye.solvers.classical import dqcr, forms
-from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions, dual_quaternions
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.classical import dqcr
+from vision_pc.core.hand_eye.solvers.motions import Motions, dual_quaternions
 
 
 @pytest.mark.parametrize("setup", list(Setup))
@@ -54,21 +54,6 @@ def test_residuals_are_in_the_callers_order_and_in_the_camera() -> None:
     assert result.inliers.sum() == 11
     np.testing.assert_allclose(result.residuals[4, :3], (0.0, 0.0, 0.03), atol=1e-6)
     np.testing.assert_allclose(np.delete(result.residuals, 4, axis=0), 0.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("method", [Method.TSAI, Method.PARK, Method.HORAUD, Method.DANIILIDIS])
-def test_motion_solvers_equal_opencv(method: Method) -> None:
-    rng = np.random.default_rng(13)
-    scene = random_scene(rng, 4)
-    turns = stacks.exp_so3(np.radians(60.0) * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
-    scene = scene._replace(
-        X_BT=stacks.transform(turns, scene.X_BT[:, :3, 3])
-    )  # no motion that OpenCV's Tsai drops
-    pairs = scenes.measured(scene, scenes.noise(0.3, 2.0), rng)
-    motions = all_motions(pairs)
-    of_opencv = classical.from_poses(pairs, motions, method).X
-    assert np.abs(of_opencv - scene.X).max() > 1e-4
-    np.testing.assert_allclose(classical.from_motions(motions, method), of_opencv, atol=1e-9)
 
 
 def test_tsai_survives_rotations_that_opencv_drops() -> None:
@@ -127,6 +112,4 @@ def test_signs_agree_near_a_half_turn() -> None:
     g = stacks.quaternion_from_rotation(X[:3, :3])
     mismatch = np.linalg.norm(dual.rotation_rows() @ g, axis=-1)
     assert mismatch.max() < 0.02  # a wrong sign gives 2
-    answers = [classical.from_motions(Motions(A, B), m) for m in (Method.HORAUD, Method.DANIILIDIS)]
-    for found in (*answers, dqcr(forms(dual))[0]):
-        assert se3.angle_between(found[:3, :3], X[:3, :3]) < 0.01
+    assert se3.angle_between(dqcr(dual)[0][:3, :3], X[:3, :3]) < 0.01

@@ -11,14 +11,10 @@ from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import lens, methods
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
-from vision_pc.core.hand_eye.solvers.lens import KnownLens
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
 from vision_pc.core.se3 import Array
 
-
-def alone(*std: float) -> KnownLens:
-    """A usual lens of which only these of fx, fy, cx, cy are unknown, px."""
-    return KnownLens(np.diag([1000.0, 1000.0, 1.0]), np.zeros(5), np.diag(np.square(std)))
+USUAL_K = np.diag([1000.0, 1000.0, 1.0])
 
 
 def measured_with(pairs: PosePairs, K: Array) -> PosePairs:
@@ -28,7 +24,7 @@ def measured_with(pairs: PosePairs, K: Array) -> PosePairs:
         side = 0.1 * float(np.linalg.norm(P[:3, 3]))
         points = side * np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
         turn, shift = cv2.Rodrigues(P[:3, :3])[0], P[:3, 3:].copy()
-        pixels = cv2.projectPoints(points, turn, shift, alone(0, 0, 0, 0).K, np.zeros(5))[0]
+        pixels = cv2.projectPoints(points, turn, shift, USUAL_K, np.zeros(5))[0]
         _, turn, shift = cv2.solvePnP(points, pixels, K, np.zeros(5), turn, shift, True)
         turn, shift = cv2.solvePnPRefineLM(points, pixels, K, np.zeros(5), turn, shift)
         poses.append(se3.transform(cv2.Rodrigues(turn)[0], np.ravel(shift)))
@@ -40,13 +36,12 @@ def test_the_share_is_what_a_wrong_camera_matrix_does_to_x(unknown: tuple[float,
     pairs, _ = noisy_pairs(71, 9)
     first = methods.solve(pairs, Method.MAXIMUM_LIKELIHOOD)
     assert first.noise is not None
-    right = alone(0, 0, 0, 0)
-    wrong = right.K.copy()
+    wrong = USUAL_K.copy()
     wrong[[0, 1, 0, 1], [0, 1, 2, 2]] += 0.5 * np.array(unknown)
     other = measured_with(pairs, wrong)
     moved = ml.maximize(Equations(other.H, other.P, np.ones(9), other.setup), first.X, first.Z, first.noise)
-    delta = 0.5 * np.array(unknown)
-    share = lens.share(pairs, first, right._replace(covariance=np.outer(delta, delta)))
+    delta = 0.5 * np.pad(unknown, (0, 5))
+    share = lens.share(pairs, first, np.outer(delta, delta))
     turn = moved.X[:3, :3] @ first.X[:3, :3].T
     change = np.concatenate([moved.X[:3, 3] - first.X[:3, 3], stacks.log_so3(turn[None])[0]])
     np.testing.assert_allclose(np.outer(change, change), share, atol=0.05 * np.abs(share).max())

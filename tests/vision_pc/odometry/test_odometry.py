@@ -10,7 +10,7 @@ import pytest
 from tests.vision_pc.rendering import Marker, facing, finish, render, wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry import StereoOdometry, moving_regions, patches
+from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.odometry.keyframes.triangulation import triangulated
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -148,24 +148,6 @@ def test_what_the_camera_carries_is_no_part_of_the_world(
     assert np.linalg.norm(found[-1].X_C0C[:3, 3] - true[-1][:3, 3]) < 0.2e-3
 
 
-def test_carried_rectangles_are_left_out_of_both_eyes(
-    camera: CameraCalibration, config: VisionConfig
-) -> None:
-    X_CM = facing(0.2, 0.05, 0.42, (2, 3, -4))
-    left, right = moving_regions.static_pixels(X_CM, config.markers.tool, camera)
-    for static, eye in ((left, camera.left), (right, camera.right)):
-        for point, carried in (
-            ((0, 0, 0), True),
-            ((0.07, 0.07, 0), True),
-            ((0, -0.3, 0), True),
-            ((0.15, 0, 0), False),
-        ):
-            u, v = intrinsics.project(eye, se3.apply(X_CM, np.array([point], dtype=float)))[0].astype(int)
-            assert static[min(v, 719), u] == (not carried)
-    far_behind = moving_regions.static_pixels(facing(0.0, 0.0, -1.0), config.markers.tool, camera)
-    assert far_behind[0].all()
-
-
 def test_black_picture_is_lost_and_the_next_one_is_found(
     camera: CameraCalibration, config: VisionConfig, texture: Array
 ) -> None:
@@ -284,41 +266,3 @@ def test_triangulation_inverts_projection_for_any_pair_of_eyes(camera: CameraCal
     np.testing.assert_allclose(found, points, atol=1e-7)
     _, backwards = triangulated(rays[0] - [0.5, 0.0], rays[1], turned, 3.0)
     assert not backwards.any()
-
-
-def test_planes_are_found_from_neighbouring_depths() -> None:
-    rays = np.random.default_rng(2).uniform(-0.8, 0.8, (200, 2))
-    plane = np.array([0.2, -0.1, 0.6])
-    depths = 1.0 / (np.column_stack([rays, np.ones(200)]) @ plane)
-    np.testing.assert_allclose(patches.planes(rays, depths), np.tile(plane, (200, 1)), atol=1e-6)
-    few = patches.planes(rays[:4], depths[:4])
-    np.testing.assert_allclose(few, np.column_stack([np.zeros((4, 2)), 1.0 / depths[:4]]))
-
-
-def test_patch_distortion_is_the_derivative_of_the_homography(camera: CameraCalibration) -> None:
-    plane = np.array([[0.2, -0.1, 0.6]])
-    X_EK = se3.transform(se3.exp_so3([0.05, -0.1, 0.2]), (0.1, -0.05, 0.2))
-    ray, step = np.array([[0.1, -0.2]]), 1e-6
-
-    def seen(offset: Array) -> Array:
-        r = ray + offset / camera.left.K[0, 0]
-        point = np.column_stack([r, [1.0]]) / (np.column_stack([r, [1.0]]) @ plane.T)
-        return intrinsics.project(camera.left, se3.apply(X_EK, point))[0]
-
-    numeric = np.stack([(seen(d) - seen(-d)) / (2 * step) for d in step * np.eye(2)], axis=1)
-    warp = patches.distortions(ray, plane, X_EK, camera.left, camera.left)[0]
-    np.testing.assert_allclose(warp, numeric, atol=1e-6)
-
-
-def test_the_same_pairs_give_the_same_bits(
-    camera: CameraCalibration, config: VisionConfig, texture: Array
-) -> None:
-    pairs = [pair_at(camera, texture, X, seed=k) for k, X in enumerate(list(poses(20))[4:7])]
-    runs = []
-    for _ in range(2):
-        odometry = StereoOdometry(camera, config.odometry)
-        runs.append([odometry.process(pair) for pair in pairs])
-    for a, b in zip(*runs, strict=True):
-        assert a is not None
-        assert b is not None
-        np.testing.assert_array_equal(a.X_C0C, b.X_C0C)

@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import pytest
 
 from tests.vision_pc.perception.test_markers import object_markers, tool_marker
 from tests.vision_pc.rendering import Marker, draw_marker, exact_corners, facing, render
@@ -38,33 +37,6 @@ def inward_px(picture: Image, camera: CameraCalibration, marker: Marker, finds: 
     away = corners - corners.mean(axis=0)
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return float(((corners - seen) * away).sum(axis=1).mean()) / np.sqrt(2.0)
-
-
-@pytest.mark.parametrize(("size", "z"), [(0.10, 0.35), (0.12, 0.9), (0.12, 1.3), (0.12, 1.6)])
-@pytest.mark.parametrize(
-    ("gamma", "blur_px", "least_px"), [(0.5, 0.85, 0.18), (0.47, 1.0, 0.2), (0.75, 0.7, 0.05)]
-)
-def test_edges_are_found_where_they_are(
-    camera: CameraCalibration,
-    generator: np.random.Generator,
-    size: float,
-    z: float,
-    gamma: float,
-    blur_px: float,
-    least_px: float,
-) -> None:
-    seen, found = [], []
-    for number in range(4):
-        marker = Marker(number, size, facing(0.1 * z, 0.05, z, tuple(generator.uniform(-25, 25, 3))))
-        picture = np.full((720, 1280), 118.0, np.float32)
-        draw_marker(picture, camera.left, marker)
-        image = as_seen(np.asarray(picture, dtype=np.uint8), gamma, blur_px).astype(np.float64)
-        image = np.clip(np.rint(image + generator.normal(0.0, 2.0, image.shape)), 0, 255).astype(np.uint8)
-        seen.append(inward_px(image, camera, marker, finds=False))
-        found.append(inward_px(image, camera, marker, finds=True))
-    assert np.mean(seen) > least_px
-    assert abs(np.mean(found)) < 0.15 * np.mean(seen)  # cells of 5 px are blurred into each other
-    assert np.max(np.abs(found)) < 0.055
 
 
 def test_a_camera_that_goes_with_the_light_moves_nothing(

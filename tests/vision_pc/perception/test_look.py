@@ -92,14 +92,6 @@ def test_wild_frames_hardly_move_the_mean() -> None:
     assert np.abs(error[3:]).max() < 4e-4
 
 
-def test_frames_alike_still_have_a_deviation() -> None:
-    one = frames(1)[0]
-    taken = look.combine([one] * 6, X_BT, 0, SETTINGS)
-    np.testing.assert_allclose(taken.X_CM, one.X_CM, atol=1e-12)
-    for std in (taken.std_tool_m, taken.std_tool_rad, taken.std_object_m):
-        assert (std > 0.0).all()
-
-
 def test_more_scatter_than_claimed_widens_the_deviation() -> None:
     generator = np.random.default_rng(3)
 

@@ -66,16 +66,6 @@ def test_a_repeated_marker_is_no_better_where_shade_hides_one(
     assert seen.rejected == {"repeated_id": 1}
 
 
-def test_marker_of_the_wrong_size_is_refused(
-    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
-) -> None:
-    scene = (Marker(0, 0.11, facing(0.1, 0.0, 0.5, (10, 15, 0))), *object_markers(facing(-0.4, 0.0, 1.0)))
-    seen = observed(camera, config.markers, scene, generator)
-    assert seen.X_CM is None
-    assert seen.rejected == {"wrong_size": 1}
-    assert seen.X_CO is not None
-
-
 def test_stranger_among_the_objects_markers_is_left_out(
     camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
 ) -> None:

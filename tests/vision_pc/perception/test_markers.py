@@ -157,28 +157,6 @@ def test_pose_accuracy_at_a_distance(
     assert np.degrees(np.linalg.norm(np.array(wide)[:, 3:], axis=1)).max() < 0.5
 
 
-def test_offset_of_the_right_eye_is_estimated_and_does_no_harm(
-    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
-) -> None:
-    truly = intrinsics.with_offset(camera, -0.4, 0.2)
-    X_CM, X_CO = facing(0.2, 0.05, 0.42), facing(-0.25, 0.05, 1.1, (5, -8, 3))
-    scene = (*object_markers(X_CO), tool_marker(X_CM))
-    seen = None
-    for _ in range(4):
-        seen = observed(camera, config.markers, scene, generator, seen, truly)
-    assert seen is not None
-    assert seen.offset is not None
-    assert seen.X_CO is not None
-    assert abs(seen.offset.x_px + 0.4) < 3.0 * seen.offset.std_x_px
-    assert abs(seen.offset.y_px - 0.2) < 3.0 * seen.offset.std_y_px
-    assert seen.offset.std_x_px <= 0.05
-    assert np.abs(se3.local(X_CO, seen.X_CO)[:3]).max() < 0.5e-3
-    ignorant = config.markers.model_copy(update={"offset_std_px": 1e-6, "offset_floor_px": 1e-6})
-    fooled = observed(camera, ignorant, scene, generator, None, truly)
-    assert fooled.X_CO is not None
-    assert abs(se3.local(X_CO, fooled.X_CO)[2]) > 2e-3
-
-
 def test_covariances_are_honest(
     camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
 ) -> None:

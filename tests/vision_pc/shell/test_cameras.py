@@ -1,4 +1,4 @@
-"""Camera sources against a sender, a film and a directory; every kind of failure told by its cause."""
+"""Camera sources against a sender and a film; every kind of failure told by its cause."""
 
 import asyncio
 import socket
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from protocol.errors import ConfigurationError, FrameRefused, LinkLost
+from protocol.errors import FrameRefused, LinkLost
 from protocol.stereo_frame import FrameHeader, encode_header
 from tests.vision_pc.perception.test_rectification import raw_camera
 from tests.vision_pc.shell.loopback_controller import until
@@ -22,7 +22,6 @@ from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.rectification import Rectifier
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource, open_camera, uvc
-from vision_pc.shell.cameras.directory import PairRecorder, recorded, recorded_pair
 from vision_pc.shell.cameras.stream import StreamClock
 
 pytestmark = pytest.mark.realtime
@@ -262,16 +261,17 @@ async def test_a_film_is_played_at_its_own_rate_over_and_over(config: VisionConf
     assert pairs[0].left.flags["C_CONTIGUOUS"]
 
 
-async def test_raw_pairs_come_rectified(config: VisionConfig, tmp_path: Path) -> None:
+async def test_raw_pairs_come_rectified(config: VisionConfig, sender: Sender) -> None:
     raw = raw_camera(LensModel.BROWN_CONRADY, (WIDTH, HEIGHT), 60.0)
-    told = {"calibration": raw.model_dump(), "frozen_frames": 0}
     v, u = np.mgrid[0:HEIGHT, 0:WIDTH]
     pair = StereoPair((u * 2).astype(np.uint8), (v * 3).astype(np.uint8), 1, 1)
     expected = Rectifier(raw)(pair)
-    recorder = PairRecorder(tmp_path)
-    recorder.add(pair)
-    recorder.close()
-    async with opened(settings(config, "directory", directory={"path": tmp_path}, **told)) as camera:
+    known = stream_settings(config, sender.port).model_dump() | {"calibration": raw.model_dump()}
+    async with opened(CameraSettings.model_validate(known)) as camera:
+        await asyncio.to_thread(sender.wait)
+        now_ns = time.monotonic_ns()
+        header = FrameHeader(1, now_ns, now_ns, WIDTH, HEIGHT, 4000, 0)
+        sender.send_bytes(encode_header(header) + pair.left.tobytes() + pair.right.tobytes())
         found = await camera.frame_after(0)
         np.testing.assert_array_equal(found.left, expected.left)
         np.testing.assert_array_equal(found.right, expected.right)
@@ -292,58 +292,3 @@ def test_pictures_of_every_kind_become_grey() -> None:
         uvc.grey(np.zeros((2, 2, 5), dtype=np.uint8))
     with pytest.raises(FrameRefused, match="5 px wide came"):
         uvc.halves(np.zeros((2, 5), dtype=np.uint8), "film.avi")
-
-
-def record(directory: Path, count: int = 4) -> list[StereoPair]:
-    generator = np.random.default_rng(1)
-    recorder = PairRecorder(directory)
-    pairs = []
-    for k in range(count):
-        left, right = generator.integers(0, 255, (2, HEIGHT, WIDTH), dtype=np.uint8)
-        pairs.append(StereoPair(left, right, 1_000_000_000 + 20_000_000 * k, k + 1))
-        recorder.add(pairs[-1])
-    recorder.close()
-    return pairs
-
-
-def test_a_recording_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    written = record(tmp_path)
-    for before, after in zip(written, map(recorded_pair, recorded(tmp_path)), strict=True):
-        assert before[2:] == after[2:]
-        np.testing.assert_array_equal(before.left, after.left)
-        np.testing.assert_array_equal(before.right, after.right)
-
-
-async def test_directory_plays_at_the_recorded_pace(config: VisionConfig, tmp_path: Path) -> None:
-    written = record(tmp_path)
-    async with opened(
-        settings(config, "directory", directory={"path": str(tmp_path), "speed": 0.5})
-    ) as camera:
-        captures = []
-        capture_ns = 0
-        for _ in written:
-            pair = await camera.frame_after(capture_ns)
-            capture_ns = pair.capture_ns
-            captures.append((pair.frame_id, capture_ns))
-        spans = np.diff([capture for _, capture in captures])
-        np.testing.assert_array_equal(spans, 40_000_000)
-        with pytest.raises(LinkLost) as lost:
-            await camera.frame_after(capture_ns)
-        assert lost.value.cause == "link.recording_ended"
-
-
-@pytest.mark.parametrize(
-    ("table", "cause"),
-    [
-        (None, "configuration.no_recording"),
-        ("frame_id,capture_ns,left,right\n", "configuration.bad_recording"),
-        ("frame_id,when\n1,2\n", "configuration.bad_recording"),
-        ("frame_id,capture_ns,left,right\n1,soon,a.png,b.png\n", "configuration.bad_recording"),
-    ],
-)
-def test_a_bad_recording_is_refused(tmp_path: Path, table: str | None, cause: str) -> None:
-    if table is not None:
-        (tmp_path / "captures.csv").write_text(table, encoding="utf-8")
-    with pytest.raises(ConfigurationError) as refused:
-        recorded(tmp_path)
-    assert refused.value.cause == cause

@@ -16,7 +16,7 @@ from testbed.hand_eye.picture_samples import alike
 from testbed.reporting.console import out
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.grey_files import read_grey
 from vision_pc.shell.cameras.picture_files import eye_files, matched_pictures, pictures_in
 from vision_pc.shell.cameras.sequence import PairRecord, read_pairs
 from vision_pc.shell.cameras.sequence_calibration import kitti_eyes, recorded_camera
@@ -145,17 +145,6 @@ def test_a_transparent_picture_lies_on_white(tmp_path: Path) -> None:
     expected = np.full((4, 4), 255, np.uint8)
     expected[1:3, 1:3] = 0
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), expected)
-
-
-def test_boards_are_taken_in_the_order_of_their_numbers(tmp_path: Path) -> None:
-    for k in (1, 2, 10):
-        for eye in ("left", "right"):
-            cv2.imwrite(str(tmp_path / f"{eye}{k}.png"), np.full((8, 8), k, np.uint8))
-    cv2.imwrite(str(tmp_path / "left3.png"), np.full((8, 8), 3, np.uint8))
-    settings = CameraSettings(stale_ms=1000.0, frozen_frames=0, width_px=64, height_px=64, calibration=PLAIN)
-    taken = take(str(tmp_path), settings, 9)
-    assert taken.names == ["left1.png", "left2.png", "left10.png"]
-    assert [int(pair.right[0, 0]) for pair in taken.pairs] == [1, 2, 10]
 
 
 @pytest.mark.parametrize("bits", range(8, 17))

@@ -10,14 +10,12 @@ from tests.vision_pc.targets.wall_scene import (
     HOLES,
     SIZE,
     TEXEL,
-    VISION,
     X_CM,
     WallScene,
     rock,
     scene,
 )
 from vision_pc.core import se3
-from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets import measuring, plane_patch
 from vision_pc.core.targets.known_target import again
@@ -227,24 +225,6 @@ def test_a_click_on_the_tool_is_refused_however_well_the_tool_itself_could_be_me
         for kind in ("auto", "plane", "hole"):
             told = refused(face.sighted(), Click(pixel, kind))  # type: ignore[arg-type]
             assert (told.cause, str(told)) == ("target.hidden", "target: the tool is before it")
-
-
-def test_what_the_tool_hides_from_the_other_eye_is_refused(face: WallScene) -> None:
-    hidden = static_pixels(X_CM, VISION.markers.tool, CAMERA)
-    tried = 0
-    for x in np.arange(0.06, 0.24, 0.04):
-        for y in (-0.25, -0.30, -0.35):
-            (u, v), (u_right, v_right) = (face.pixel(x, y, eye).astype(int) for eye in ("left", "right"))
-            assert hidden[0][v, u]
-            assert not hidden[1][v_right, u_right]
-            told = refused(face.sighted(), Click(face.pixel(x, y), "plane"))
-            tried += told.cause in (
-                "target.no_match",
-                "target.ambiguous",
-                "target.low_texture",
-                "target.depth_edge",
-            )
-    assert tried == 15
 
 
 @pytest.mark.parametrize("light", [1.0, 0.25])

@@ -67,14 +67,6 @@ def test_of_a_boards_candidates_the_right_one_alone_is_believed(square_m: float,
     assert f"they fit at {1e3 * np.linalg.norm(wall.p_C):.0f}"[:14] in told
 
 
-def test_a_place_in_the_other_eye_that_looks_like_nothing_there_is_refused() -> None:
-    wall = board(0.016, 0.66)
-    first, second = sorted(each.right_px[0] for each in candidates(wall))[:2]
-    between = np.array([0.5 * (first + second), candidates(wall)[0].right_px[1]])
-    with pytest.raises(TargetRefused):
-        at_click(wall.seen, Click(wall.pixel, other=between))
-
-
 def test_a_black_square_of_a_board_is_no_hole_farther_away() -> None:
     wall = board(0.025, 1.0, middle=True)
     with pytest.raises(TargetRefused) as caught:

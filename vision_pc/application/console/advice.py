@@ -132,7 +132,6 @@ _OF_CAUSE = {
     "link.no_clock": "Wait a second until the two clocks are compared, then repeat.",
     "link.not_connected": "Start the controller, or check vision.link.host and port.",
     "link.silent": "Start the controller, or look after the network between the two.",
-    "link.recording_ended": "The folder of pictures has been shown to its end: start the service anew.",
     "link.renderer_ended": "Start the emulator anew.",
     "link.state_gap": "States got lost on the network: repeat the step.",
     "link.state_too_old": "Close other work on both machines, or look after the network; then repeat.",

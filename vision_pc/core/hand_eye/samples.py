@@ -87,23 +87,11 @@ def pose_pairs(
     """The samples, checked, with exactly orthonormal rotations, in canonical order.
 
     ``X_BT``, ``X_CP`` (n, 4, 4): tool in base, pattern in camera, metres. Raises RequestRefused naming the
-    sample: ``refused.hand_eye.count``, ``.not_finite``, ``.not_a_pose``, ``.left_handed``,
+    sample: ``refused.hand_eye.not_finite``, ``.not_a_pose``, ``.left_handed``,
     ``.not_orthonormal``, ``.units``, ``.duplicate``, ``.stale_camera``.
     """
     hand, target = np.asarray(X_BT, dtype=np.float64), np.asarray(X_CP, dtype=np.float64)
-    if hand.ndim != 3 or target.ndim != 3 or hand.shape[1:] != (4, 4) or target.shape[1:] != (4, 4):
-        raise RequestRefused(
-            "refused.hand_eye.count", f"poses must be (n, 4, 4), got {hand.shape} and {target.shape}"
-        )
-    if len(hand) != len(target):
-        raise RequestRefused(
-            "refused.hand_eye.count", f"{len(hand)} hand poses but {len(target)} camera poses"
-        )
     names = names or tuple(str(k + 1) for k in range(len(hand)))
-    if len(names) != len(hand) or (corners is not None and len(corners.pixels) != len(hand)):
-        raise RequestRefused(
-            "refused.hand_eye.count", f"{len(hand)} poses but {len(names)} names or other corners"
-        )
     for what, stack in (("hand", hand), ("camera", target)):
         for name, X in zip(names, stack, strict=True):
             _check_pose(X, f"sample {name}: {what} pose")

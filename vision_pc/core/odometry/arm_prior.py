@@ -13,30 +13,24 @@ _WAY_SHARE = 0.01  # [E] links as drawn; bending
 _TURN_STD_RAD = 0.004  # [E]
 
 
-class Since(NamedTuple):
-    """A pair that was located at ``X_C0C``, and how the arm's tool has gone since: ``X_TT``, m and rad."""
+class ArmPrior(NamedTuple):
+    """How far the camera may be from the pairs that were located, as the arm tells of itself.
 
-    X_C0C: Array
-    X_TT: Array
+    ``since``: where the camera was in each, X_C0C, and how the arm's tool has gone since, X_TT (m and rad).
+    """
 
-
-class ArmPrior:
-    """How far the camera may be from the pairs that were located, as the arm tells of itself."""
-
-    def __init__(self, since: list[Since], lever_m: float) -> None:
-        self._since = since
-        self._lever_m = lever_m
+    since: tuple[tuple[Array, Array], ...]
+    lever_m: float
 
     def agrees(self, X_C0C: Array, tolerance: float = 1.0) -> bool:
         """Whether a camera at ``X_C0C`` has gone as the arm has; ``tolerance``: times what is usual."""
-        return all(self._surprise(one, X_C0C) < tolerance for one in self._since)
+        return all(self._surprise(se3.inverse(X) @ X_C0C, X_TT) < tolerance for X, X_TT in self.since)
 
-    def _surprise(self, since: Since, X_C0C: Array) -> float:
+    def _surprise(self, seen: Array, X_TT: Array) -> float:
         """The worse of way and turn, relative to what they may differ by."""
-        seen = se3.inverse(since.X_C0C) @ X_C0C
-        way, seen_way = (float(np.linalg.norm(X[:3, 3])) for X in (since.X_TT, seen))
-        turn, seen_turn = (se3.angle_between(X[:3, :3], np.eye(3)) for X in (since.X_TT, seen))
-        lever = 2.0 * np.sin(turn / 2.0) * self._lever_m
+        way, seen_way = (float(np.linalg.norm(X[:3, 3])) for X in (X_TT, seen))
+        turn, seen_turn = (se3.angle_between(X[:3, :3], np.eye(3)) for X in (X_TT, seen))
+        lever = 2.0 * np.sin(turn / 2.0) * self.lever_m
         place = _SIGMAS * float(np.hypot(_PLACE_STD_M, _WAY_SHARE * way)) + lever
         off = abs(seen_way - way) / place, abs(seen_turn - turn) / (_SIGMAS * _TURN_STD_RAD)
         return float(max(off))
@@ -56,8 +50,8 @@ class ArmHistory:
         """
         if X_BT is None or self._first is None or self._last is None:
             return None
-        known = (self._first, self._last)
-        return ArmPrior([Since(X, se3.inverse(before) @ X_BT) for X, before in known], self._lever_m)
+        first, last = ((X, se3.inverse(before) @ X_BT) for X, before in (self._first, self._last))
+        return ArmPrior((first, last), self._lever_m)
 
     def found(self, X_C0C: Array, X_BT: Array | None) -> None:
         """The camera was located at ``X_C0C`` while the tool was at ``X_BT``."""

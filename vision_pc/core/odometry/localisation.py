@@ -7,7 +7,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import contradiction, patches, tracking
 from vision_pc.core.odometry.arm_prior import ArmPrior
@@ -36,7 +35,6 @@ _IN_MEMORY = 3  # keyframes whose patches are kept: 4 MB each
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 _FIND_AGAIN = 0.8  # of the points: where flow leads fewer to their patches, the light changed
 _CONSENSUS, _FEWEST = 5, 6  # fits at most, and of so many points at least
-_STRICT = 0.35  # [M] of ``RANSAC_PX``, with an arm: one pose can hold the world and what is slow
 _SECOND_POINTS = 12  # at least, of a second motion
 _AGAINST_ARM = 0.25  # [D] of the limit of contradiction, for a motion that is not the arm's
 _GROSS = 4.0  # times what the arm's motion may differ by: no arm does that
@@ -67,12 +65,10 @@ class Localiser:
     def __init__(
         self,
         camera: CameraCalibration,
-        settings: OdometrySettings,
         keyframe_map: KeyframeMap,
         offset: SharedOffset,
     ) -> None:
         self._camera = camera
-        self._settings = settings
         self._map = keyframe_map
         self._offset = offset
         self._noise_px = NOISE_PX
@@ -130,23 +126,20 @@ class Localiser:
 
     def _motion(self, points: Array, pixels: Array, expected: Array, arm: ArmPrior | None) -> _Motion | None:
         """The pose that most points agree on, or of two the ``arm``'s; None: it is not the arm's."""
-        near = RANSAC_PX
-        if arm is not None and self._settings.disparity_std_px > 0.0:
-            near *= _STRICT
-        first = self._consensus(points, pixels, expected, near)
+        first = self._consensus(points, pixels, expected)
         if arm is None:
             return first
         rest = np.flatnonzero(~first.agree)
         if len(rest) >= _SECOND_POINTS:
-            X_CC0, agree, _ = self._consensus(points[rest], pixels[rest], expected, near)
+            X_CC0, agree, _ = self._consensus(points[rest], pixels[rest], expected)
             second = _Motion(X_CC0, np.isin(np.arange(len(points)), rest[agree]))
             fits = [arm.agrees(se3.inverse(one.X_CC0)) for one in (first, second)]
             if agree.sum() >= _SECOND_POINTS and fits.count(True) == 1:
                 return (first, second)[fits.index(True)]._replace(by_arm=True)
         return first if arm.agrees(se3.inverse(first.X_CC0), _GROSS) else None
 
-    def _consensus(self, points: Array, pixels: Array, expected: Array, near: float) -> _Motion:
-        """X_CC0 from the left eye alone by RANSAC, and the points that agree with it to ``near`` px."""
+    def _consensus(self, points: Array, pixels: Array, expected: Array) -> _Motion:
+        """X_CC0 from the left eye alone by RANSAC, and the points that agree with it."""
         X_CC0, focal = se3.inverse(expected), float(self._camera.left.K[0, 0])
         rays = intrinsics.normalised(self._camera.left, pixels)
         found, rotation, position, inliers = cv2.solvePnPRansac(
@@ -158,7 +151,7 @@ class Localiser:
             tvec=X_CC0[:3, 3].reshape(3, 1).copy(),
             useExtrinsicGuess=True,
             iterationsCount=100,
-            reprojectionError=near / focal,
+            reprojectionError=RANSAC_PX / focal,
             confidence=0.999,
         )
         agree = np.zeros(len(points), dtype=bool)
@@ -170,7 +163,7 @@ class Localiser:
             X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
             there = se3.apply(X_CC0, points)
             off_px = np.linalg.norm(there[:, :2] / there[:, 2:] - rays, axis=1) * focal
-            before, agree = agree, (off_px < near) & (there[:, 2] > 0.0)
+            before, agree = agree, (off_px < RANSAC_PX) & (there[:, 2] > 0.0)
             if int(agree.sum()) < _FEWEST or np.array_equal(before, agree):
                 break
             rotation, position = cv2.solvePnPRefineLM(

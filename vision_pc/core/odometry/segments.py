@@ -44,7 +44,6 @@ def straightened(camera: CameraCalibration, seen: PointPairs) -> CameraCalibrati
 
 
 _RESTART_AFTER = 3  # [D] pairs lost in a row, then a new map
-_PATIENCE = 20  # [D] the same where an arm will tell which of two motions is the camera's
 _REJOIN_EVERY = 2  # [D] pairs between two searches of the maps before
 
 
@@ -103,29 +102,24 @@ class SegmentedOdometry:
         """The loss's figure, where it has one."""
         return self._maps[self._current].last_detail
 
-    def process(self, pair: StereoPair, X_BT: Array | None = None) -> PlacedPose | None:
-        """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause.
-
-        ``X_BT``: where the arm's own state has the tool, if there is an arm that tells.
-        """
-        pose = self._maps[self._current].process(pair, X_BT=X_BT)
+    def process(self, pair: StereoPair) -> PlacedPose | None:
+        """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause."""
+        pose = self._maps[self._current].process(pair)
         if pose is None:
             self._lost += 1
-            by_arm = X_BT is not None and self.last_loss == "two_motions"
-            patience = _PATIENCE if by_arm else _RESTART_AFTER
-            if self._lost < patience or not self._maps[self._current].keyframes:
+            if self._lost < _RESTART_AFTER or not self._maps[self._current].keyframes:
                 return None
-            return self._in_older(pair, X_BT) or self._begin_map(pair, X_BT)
+            return self._in_older(pair) or self._begin_map(pair)
         self._lost = 0
         if not self._straight and pose.pairs is not None:
             self._camera, self._straight = straightened(self._camera, pose.pairs), True
             self._begin_anew()
-            pose = self._maps[0].process(pair, X_BT=X_BT)
+            pose = self._maps[0].process(pair)
             return None if pose is None else PlacedPose(0, pose)
         self._since_search += 1
         if self.joints[self._current] is None and self._since_search % _REJOIN_EVERY == 0:
             newer = self._current
-            found = self._in_older(pair, X_BT)
+            found = self._in_older(pair)
             if found is not None:
                 there = self.joints[found.segment]
                 joint = found.pose.X_C0C @ se3.inverse(pose.X_C0C)
@@ -133,19 +127,19 @@ class SegmentedOdometry:
                 return found
         return PlacedPose(self._current, pose)
 
-    def _in_older(self, pair: StereoPair, X_BT: Array | None) -> PlacedPose | None:
+    def _in_older(self, pair: StereoPair) -> PlacedPose | None:
         """The pose in an older map that ``pair`` shows again, which then is the current one."""
         for k in range(self._current - 1, -1, -1):
-            pose = self._maps[k].process(pair, X_BT=X_BT)
+            pose = self._maps[k].process(pair)
             if pose is not None:
                 self._current, self._lost = k, 0
                 return PlacedPose(k, pose)
         return None
 
-    def _begin_map(self, pair: StereoPair, X_BT: Array | None) -> PlacedPose | None:
+    def _begin_map(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
         fresh = StereoOdometry(self._camera, self._settings, offset=self.offset)
-        pose = fresh.process(pair, X_BT=X_BT)
+        pose = fresh.process(pair)
         if pose is None:
             return None
         self._maps.append(fresh)

@@ -46,7 +46,7 @@ class StereoOdometry:
         self._settings = settings
         self._tool = tool
         self._map = KeyframeMap(camera, settings.depth_floor_px)
-        self._localiser = Localiser(camera, settings, self._map, offset or SharedOffset(learns=False))
+        self._localiser = Localiser(camera, self._map, offset or SharedOffset(learns=False))
         self._mapper = Mapper(camera, settings, self._map)
         self._error = AccumulatedError(settings.disparity_std_px)
         self._arm = ArmHistory(settings.lever_m)

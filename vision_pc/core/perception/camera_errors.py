@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
 from vision_pc.config.vision import MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
@@ -41,14 +40,9 @@ _PRINT = 16  # unknowns of a print: size, place (3), and how far each corner is 
 _INPLANE = 0.3  # of a plate's bend moves corners within its plane
 
 
-class _Picture(NamedTuple):
-    """What is used of a sample, and how far corners may be off in it (px): rows of a moving picture are read
-    one after another.
-    """
-
-    observation: FrameObservation
-    pairs: PointPairs | None
-    std_px: float
+_Picture = tuple[FrameObservation, PointPairs | None, float]
+"""What is used of a sample, and how far corners may be off in it (px): rows of a moving picture are read one
+after another."""
 
 
 class _Corners(NamedTuple):
@@ -83,10 +77,10 @@ def fitted_errors(
     stds = np.concatenate([prior_stds(settings), _print_stds(settings)])
     for _ in range(_ROUNDS):
         H, g = np.diag(stds**-2.0), -shared / stds**2
-        reduced, eliminated = _corner_equations(corners, poses, shared, camera)
+        corner_H, corner_g, eliminated = _corner_equations(corners, poses, shared, camera)
         row_H, row_g = _row_equations(rows, shared[:_CAMERA], camera)
-        H += reduced.H
-        g += reduced.g
+        H += corner_H
+        g += corner_g
         H[:_CAMERA, :_CAMERA] += row_H
         g[:_CAMERA] += row_g
         step = np.linalg.solve(H, g)
@@ -116,7 +110,7 @@ def _spread_out(
     for k in np.minimum(chosen, len(seen) - 1).tolist():
         _, _, observation, pairs = seen[k]
         if observation is not None:
-            pictures.append(_Picture(observation, pairs, float(std_px[k])))
+            pictures.append((observation, pairs, float(std_px[k])))
     return pictures
 
 
@@ -147,7 +141,7 @@ def _corners(pictures: list[_Picture], settings: MarkerSettings) -> tuple[_Corne
 def _rows(pictures: list[_Picture]) -> PointPairs:
     """Points without a marker in both eyes, of all pictures."""
     nothing = PointPairs(np.zeros((0, 2)), np.zeros((0, 2)))
-    parts = [nothing, *(picture.pairs for picture in pictures if picture.pairs is not None)]
+    parts = [nothing, *(pairs for _, pairs, _ in pictures if pairs is not None)]
     return PointPairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -161,13 +155,6 @@ def _print_stds(settings: MarkerSettings) -> Array:
             for number in sorted(settings.sizes)
         ]
     )
-
-
-class _Reduced(NamedTuple):
-    """Equations over what pictures share, the bodies' poses eliminated."""
-
-    H: Array
-    g: Array
 
 
 class _Eliminated(NamedTuple):
@@ -185,8 +172,8 @@ class _Eliminated(NamedTuple):
 
 def _corner_equations(
     corners: _Corners, poses: Array, shared: Array, camera: CameraCalibration
-) -> tuple[_Reduced, _Eliminated]:
-    """Normal equations of all corners in both eyes."""
+) -> tuple[Array, Array, _Eliminated]:
+    """Normal equations (H, g) of all corners in both eyes over what pictures share, poses eliminated."""
     R = poses[corners.body, :3, :3]
     prints = shared[_CAMERA:].reshape(-1, _PRINT)[corners.marker]
     own, at = corners.points - corners.centres, np.arange(len(corners.points))
@@ -211,11 +198,9 @@ def _corner_equations(
     inverses = np.asarray(np.linalg.inv(H[:, :_POSE, :_POSE]), dtype=np.float64)
     coupling = H[:, :_POSE, _POSE:]
     carried = np.einsum("kia,kij->kaj", coupling, inverses)
-    reduced = _Reduced(
-        (H[:, _POSE:, _POSE:] - carried @ coupling).sum(axis=0),
-        (g[:, _POSE:] - np.einsum("kaj,kj->ka", carried, g[:, :_POSE])).sum(axis=0),
-    )
-    return reduced, _Eliminated(inverses, g[:, :_POSE], coupling)
+    shared_g = (g[:, _POSE:] - np.einsum("kaj,kj->ka", carried, g[:, :_POSE])).sum(axis=0)
+    shared_H = (H[:, _POSE:, _POSE:] - carried @ coupling).sum(axis=0)
+    return shared_H, shared_g, _Eliminated(inverses, g[:, :_POSE], coupling)
 
 
 def _gather(H: Array, g: Array, J: Array, residual: Array, corners: _Corners) -> None:
@@ -225,18 +210,10 @@ def _gather(H: Array, g: Array, J: Array, residual: Array, corners: _Corners) ->
     error = residual[seen] / std[:, None]
     weight = np.sqrt(1.0 / np.maximum(1.0, np.linalg.norm(error, axis=1) / _HUBER))
     scaled, error = J[seen] * (weight / std)[:, None, None], error * weight[:, None]
-    _add_to_bodies(H, g, body, scaled, error)
-
-
-@kernel(nogil=True)
-def _add_to_bodies(H: Array, g: Array, body: NDArray[np.int64], J: Array, error: Array) -> None:
-    """Add the two rows of each of ``J`` (n, 2, u), with their ``error`` (n, 2), to its body's equations."""
-    for i in range(J.shape[0]):
-        k, first, second = body[i], J[i, 0], J[i, 1]
-        for a in range(J.shape[2]):
-            g[k, a] += first[a] * error[i, 0] + second[a] * error[i, 1]
-            for b in range(J.shape[2]):
-                H[k, a, b] += first[a] * first[b] + second[a] * second[b]
+    for k in np.unique(body):
+        rows = scaled[body == k].reshape(-1, g.shape[1])
+        H[k] += rows.T @ rows
+        g[k] += rows.T @ error[body == k].ravel()
 
 
 def _linearised(

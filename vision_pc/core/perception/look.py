@@ -15,7 +15,15 @@ from vision_pc.core.perception.layout_check import misplaced_in_most, misplaced_
 from vision_pc.core.perception.markers import Detected, Region, Sighting
 from vision_pc.core.perception.stereo_pose import Priors
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
+from vision_pc.core.types import (
+    CameraCalibration,
+    CameraFrame,
+    FrameObservation,
+    Image,
+    Look,
+    StereoOffset,
+    StereoPair,
+)
 
 _ROBUST_ROUNDS = 10
 _CHI2_MEDIAN_6 = 5.348  # median of χ² with six degrees of freedom
@@ -98,12 +106,11 @@ def observe(
     ambiguous marker, its estimate of the right eye's offset is carried on.
     """
     priors = priors_after(previous, settings)
-    found = _found(pair, settings, previous)
-    sightings, unfit = markers.sight(pair, found.detected.corners, camera, settings, priors)
-    unfit |= dict.fromkeys(found.detected.repeated, "repeated_id")
-    seen = FrameMarkers(sightings, found.detected.refused, unfit, found.since_full_search)
-    stamp = FrameStamp(pair.frame_id, pair.capture_ns)
-    return observation_of(stamp, seen, camera, settings, priors, previous)
+    detected, since_full_search = _found(pair, settings, previous)
+    sightings, unfit = markers.sight(pair, detected.corners, camera, settings, priors)
+    unfit |= dict.fromkeys(detected.repeated, "repeated_id")
+    seen = FrameMarkers(sightings, detected.refused, unfit, since_full_search)
+    return observation_of(pair, seen, camera, settings, priors, previous)
 
 
 def priors_after(previous: FrameObservation | None, settings: MarkerSettings) -> Priors:
@@ -115,13 +122,6 @@ def priors_after(previous: FrameObservation | None, settings: MarkerSettings) ->
     if previous is None or previous.errors is None:
         return Priors(corner, size, offset, radial)
     return Priors(corner, size, offset, math.sqrt(previous.errors.covariance[6, 6]), known=True)
-
-
-class FrameStamp(NamedTuple):
-    """A ``CameraFrame``'s number and time, without what it shows."""
-
-    frame_id: int
-    capture_ns: int
 
 
 class FrameMarkers(NamedTuple):
@@ -138,7 +138,7 @@ class FrameMarkers(NamedTuple):
 
 
 def observation_of(
-    stamp: FrameStamp,
+    frame: CameraFrame,
     seen: FrameMarkers,
     camera: CameraCalibration,
     settings: MarkerSettings,
@@ -152,8 +152,8 @@ def observation_of(
     found = tuple(sighting.observation for sighting in seen.sightings)
     focal_px = float(camera.left.K[0, 0])
     return FrameObservation(
-        capture_ns=stamp.capture_ns,
-        frame_id=stamp.frame_id,
+        capture_ns=frame.capture_ns,
+        frame_id=frame.frame_id,
         X_CM=None if tool is None else tool.X,
         cov_CM=None if tool is None else tool.covariance,
         bias_CM=None if tool is None else tool.bias,
@@ -190,14 +190,13 @@ def _missing(
     return "wrong_size" if "wrong_size" in reasons else "not_seen"
 
 
-class _Found(NamedTuple):
-    detected: Detected
-    since_full_search: int
+def _found(
+    pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None
+) -> tuple[Detected, int]:
+    """Rough corners in the left picture, and how many frames ago all of it was searched.
 
-
-def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None) -> _Found:
-    """Rough corners in the left picture: around the last frame's markers if all of them are there again,
-    else anywhere; so too after one was refused, which may have been for what was not yet known of the camera.
+    Searched is around the last frame's markers if all of them are there again, else anywhere; so too after
+    one was refused, which may have been for what was not yet known of the camera.
 
     Frames may have been skipped: what counts is how many were observed, not their numbers.
     """
@@ -212,8 +211,8 @@ def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservatio
         needed = frozenset(m.marker_id for m in before)
         detected = markers.detect(pair.left, settings, region, needed)
         if needed <= detected.corners.keys():
-            return _Found(detected, since)
-    return _Found(markers.detect(pair.left, settings), 0)
+            return detected, since
+    return markers.detect(pair.left, settings), 0
 
 
 def _region(image: Image, corners: Array, margin: int) -> Region:

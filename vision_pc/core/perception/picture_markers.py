@@ -17,7 +17,8 @@ from vision_pc.core.types import Image
 
 LEAST_SIDE_PX = 8.0  # of the mean edge: a cell of a 36h11 then has 1 px
 _WINDOWS = (5, 9, 13, 23, 45)  # px: one window loses markers whose border is far thinner or wider
-_USUAL, _SENSITIVE = 7.0, 3.0  # grey levels of a darker border; [M] 3 loses half as many of 75° or 12 px
+_USUAL = 13, 7.0  # px, and grey levels of a darker border
+_SENSITIVE = 3.0  # [M] loses half as many of 75° or 12 px
 _GROWN = (1.0, 1.08, 1.16)  # [D] times a square of few pixels, which is found too small
 _SAME_PX = 1.0  # [D] of all corners: the square of another window
 _EDGE_STD_PX = 0.05  # corners by edge lines, noise 2, sides from 16 px on
@@ -32,6 +33,7 @@ _UNLIKE = (
 _SHOWS_LIKE = 0.6  # [M] of the cells' middles, of any: keys of a keyboard have 0.1, a screen's edge 0.5
 _PLACES, _LEAST_CONTRAST = 9, 8.0  # of a side; grey levels: less than lines need, for small blurred markers
 _EDGE_REACH_PX = 1.5  # [D] to either side, at most half a cell
+_GREEN = (60, 200, 60)
 _CORRECTION = 0.6  # share of the wrong cells that a dictionary could correct
 
 
@@ -61,19 +63,17 @@ class MarkerSearch(NamedTuple):
     squares: int
 
 
-def search(
-    image: Image, dictionary: str, requested: frozenset[int] = frozenset(), window_px: int = 13
-) -> MarkerSearch:
+def search(image: Image, dictionary: str, requested: frozenset[int] = frozenset()) -> MarkerSearch:
     """What of ``dictionary`` is in ``image``, markers smaller than ``LEAST_SIDE_PX`` left out.
 
-    With ``requested`` numbers only these are given, and the search ends when all of them are there: other
-    threshold windows than ``window_px`` are tried only while one is missing. Without, all are tried.
+    With ``requested`` numbers only these are given, and the search ends when all of them are there: more
+    than the usual threshold is tried only while one is missing. Without, all are tried.
     """
     markers: list[PictureMarker] = []
     read: list[tuple[int, Array]] = []
     unread: list[Array] = []
     is_grid = dictionary.startswith("DICT_APRILTAG")
-    usual = ((window_px, _USUAL),) if requested else ()
+    usual = (_USUAL,) if requested else ()
     for window, darker in (*usual, *((other, _SENSITIVE) for other in _WINDOWS)):
         quads, ids, rejected = _detector(dictionary, window, darker).detectMarkers(image)
         for number, quad in zip([] if ids is None else map(int, ids.ravel()), quads, strict=True):
@@ -257,11 +257,10 @@ def drawn(image: Image, markers: list[PictureMarker]) -> Image:
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for marker in markers:
         outline = np.round(8.0 * marker.corners).astype(np.int32)
-        colour = (60, 200, 60) if marker.method in ("cells", "edges") else (40, 160, 255)
-        cv2.polylines(picture, [outline], True, colour, 1, cv2.LINE_AA, 3)
+        cv2.polylines(picture, [outline], True, _GREEN, 1, cv2.LINE_AA, 3)
         x, y = (round(float(value)) for value in marker.corners[0])
         cv2.circle(picture, (x, y), 2, (60, 60, 255), -1)
-        cv2.putText(picture, str(marker.number), (x + 4, y - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
+        cv2.putText(picture, str(marker.number), (x + 4, y - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _GREEN, 1)
     return np.asarray(picture, dtype=np.uint8)
 
 

@@ -15,6 +15,7 @@ from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets import plane_patch, row_matching
+from vision_pc.core.targets.place_on_plane import moved_by_plane
 from vision_pc.core.targets.plane_patch import PlanePatch
 from vision_pc.core.targets.round_edge import Circle, DarkSpot, axes_of, circle, edge
 from vision_pc.core.targets.target import TargetRefused, frame_on
@@ -101,15 +102,16 @@ def measure(
     nearest, farthest = max(depths_m[0], widest[0]), min(depths_m[1], widest[1])
     if not nearest < farthest:
         raise TargetRefused("target.wrong_size", "target: no hole of such a diameter looks like that here")
-    found = row_matching.match(pair, camera, spot.middle, (nearest, farthest), compared_px(spot))
+    compared = max(row_matching.HALF, int(_MATCHED * spot.radius))  # px: the rim with it
+    inverse_depth = row_matching.match(pair, camera, spot.middle, (nearest, farthest), compared)
     try:
-        hole = _measure_hole(pair, camera, spot, found.inverse_depth)
+        hole = _measure_hole(pair, camera, spot, inverse_depth)
     except TargetRefused as refused:
         # What is seen inside may be as bright as the rim, and the dark be a part of the hole.
-        wide = DarkSpot(spot.middle, 0.25 * sum(diameters_m) * focal * found.inverse_depth)
+        wide = DarkSpot(spot.middle, 0.25 * sum(diameters_m) * focal * inverse_depth)
         if refused.cause != "target.not_round" or wide.radius < _PART * spot.radius:
             raise
-        hole = _measure_hole(pair, camera, wide, found.inverse_depth)
+        hole = _measure_hole(pair, camera, wide, inverse_depth)
     if not diameters_m[0] <= hole.diameter_m <= diameters_m[1]:
         low, high = (1e3 * size for size in diameters_m)
         raise TargetRefused(
@@ -140,11 +142,6 @@ def _measure_hole(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, i
     return _hole(camera, left, right, plane)
 
 
-def compared_px(spot: DarkSpot) -> int:
-    """Half of what the eyes are compared in, px: the rim of ``spot`` with it."""
-    return max(row_matching.HALF, int(_MATCHED * spot.radius))
-
-
 def _surface(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, inverse_depth: float) -> PlanePatch:
     half = int(min(max(_RING * spot.radius, spot.radius + _LEAST_RING_PX), _MOST_RING_PX))
     rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
@@ -168,13 +165,7 @@ def _hole(camera: CameraCalibration, left: Circle, right: Circle, plane: PlanePa
     covariance = np.zeros((6, 6))
     # What texture does to an edge both eyes see alike: two eyes are no surer than one.
     covariance[:3, :3] = axes[:, :2] @ (0.5 * (left.covariance + right.covariance)) @ axes[:, :2].T
-    ray = X[:3, 3] / X[2, 3]
-    stds = np.sqrt(np.diag(plane.covariance))
-    J = np.zeros((6, 3))
-    for k in range(3):
-        theta = plane.theta + stds[k] * np.eye(3)[k]
-        n = plane_patch.normal_of(theta, plane.ray)
-        J[:, k] = se3.local(X, frame_on(ray / (n @ ray), n)) / stds[k]
+    J = moved_by_plane(plane, X[:3, 3] / X[2, 3])
     covariance += J @ plane.covariance @ J.T
     radius = 0.5 * (left.radius + right.radius)
     return Hole(X, covariance, 2.0 * radius, plane, outline_of(camera.left, X, radius))

@@ -29,8 +29,8 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
     pixel = visible(sighted, camera, known)
     depths = float(p[2]) * (1.0 - _DEPTH_SHARE), float(p[2]) * (1.0 + _DEPTH_SHARE)
     if known.kind == "plane":
-        found = row_matching.match(sighted.pair, camera, pixel, depths)
-        plane = plane_at(sighted.pair, camera, pixel, found.inverse_depth)
+        inverse_depth = row_matching.match(sighted.pair, camera, pixel, depths)
+        plane = plane_at(sighted.pair, camera, pixel, inverse_depth)
         seen = _with_known_place(on_plane(sighted, camera, plane), known)
     else:
         seen = _hole_again(sighted, camera, known, pixel, depths)

@@ -29,8 +29,8 @@ def at_click(sighted: Sighted, click: Click) -> TargetObservation:
         hole = _hole_at(sighted, camera, click, depths)
         if hole is not None:
             return refuse_contradicted(sighted, camera, click.pixel, hole)
-    found = row_matching.match(pair, camera, click.pixel, depths)
-    plane = plane_at(pair, camera, click.pixel, found.inverse_depth)
+    inverse_depth = row_matching.match(pair, camera, click.pixel, depths)
+    plane = plane_at(pair, camera, click.pixel, inverse_depth)
     seen = on_plane(sighted, camera, plane)
     return seen if click.other is None else refuse_contradicted(sighted, camera, click.pixel, seen)
 

@@ -32,7 +32,7 @@ def plane_at(pair: StereoPair, camera: CameraCalibration, pixel: Array, inverse_
 def on_plane(sighted: Sighted, camera: CameraCalibration, plane: PlanePatch) -> TargetObservation:
     """A clicked place: where its ray meets the plane, with the plane's normal."""
     X = frame_on(plane.meet(plane.ray), plane.n)
-    J = moved_by_plane(plane)
+    J = moved_by_plane(plane, plane.ray)
     bias = bias_of(sighted, X, plane)
     reach = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * HALF
     middle = intrinsics.distorted(camera.left, plane.ray[None, :2])[0]
@@ -40,12 +40,12 @@ def on_plane(sighted: Sighted, camera: CameraCalibration, plane: PlanePatch) -> 
     return TargetObservation("plane", X, covariance, bias, plane.quality, middle + reach)
 
 
-def moved_by_plane(plane: PlanePatch) -> Array:
-    """How the frame on the plane (6,) changes with the plane's three numbers."""
-    X, J = frame_on(plane.meet(plane.ray), plane.n), np.zeros((6, 3))
+def moved_by_plane(plane: PlanePatch, ray: Array) -> Array:
+    """How the frame where ``ray`` (3,) meets the plane changes (6, 3) with the plane's three numbers."""
+    X, J = frame_on(plane.meet(ray), plane.n), np.zeros((6, 3))
     for k, step in enumerate(np.sqrt(np.diag(plane.covariance))):
         n = plane_patch.normal_of(plane.theta + step * np.eye(3)[k], plane.ray)
-        J[:, k] = se3.local(X, frame_on(plane.ray / (n @ plane.ray), n)) / step
+        J[:, k] = se3.local(X, frame_on(ray / (n @ ray), n)) / step
     return J
 
 

@@ -37,13 +37,11 @@ class DarkSpot(NamedTuple):
 
 
 class Circle(NamedTuple):
-    """A circle in the plane's axes: middle (2,), radius, the middle's covariance (2, 2), share of rays."""
+    """A circle in the plane's axes: middle (2,), radius, the middle's covariance (2, 2)."""
 
     middle: Array
     radius: float
     covariance: Array
-    share: float
-    on_circle: Array
 
 
 def axes_of(plane: PlanePatch) -> tuple[Array, Array]:
@@ -52,11 +50,8 @@ def axes_of(plane: PlanePatch) -> tuple[Array, Array]:
     return X[:3, 3], X[:3, :3]
 
 
-def edge(image: Image, spot: DarkSpot, share: float = 1.0) -> Array:
-    """Edge points (n, 2) px about a spot, dark inside and bright outside.
-
-    On each ray the first rise outwards of at least ``share`` of the steepest: 1 is the steepest itself.
-    """
+def edge(image: Image, spot: DarkSpot) -> Array:
+    """Edge points (n, 2) px about a spot, dark inside and bright outside: on each ray the steepest rise."""
     reach = 1.9 * spot.radius + 4.0
     u, v = spot.middle
     left, top = max(int(u - reach) - 2, 0), max(int(v - reach) - 2, 0)
@@ -65,12 +60,12 @@ def edge(image: Image, spot: DarkSpot, share: float = 1.0) -> Array:
         return np.zeros((0, 2))
     smooth = cv2.GaussianBlur(part.astype(np.float64), (5, 5), 0.7)
     contrast = min(_CONTRAST, max(_LEAST_CONTRAST, _CONTRAST_SHARE * float(np.median(part))))
-    points = _edge_points(np.asarray(smooth), u - left, v - top, spot.radius, share, contrast)
+    points = _edge_points(np.asarray(smooth), u - left, v - top, spot.radius, contrast)
     return np.asarray(points[np.isfinite(points[:, 0])] + [left, top])
 
 
 @kernel(nogil=True)
-def _edge_points(image: Array, u: float, v: float, radius: float, share: float, contrast: float) -> Array:
+def _edge_points(image: Array, u: float, v: float, radius: float, contrast: float) -> Array:
     """Edge points (rays, 2), NaN where a ray shows none.
 
     Of each ray the first place outwards from 0.4 radii at which the grey has risen half of the way to the
@@ -93,7 +88,7 @@ def _edge_points(image: Array, u: float, v: float, radius: float, share: float, 
             profile[i] = grey_between(image, x, y)
         if not inside:
             continue
-        at = _rise(profile, count, share, contrast)
+        at = _rise(profile, count, contrast)
         if math.isnan(at):
             continue
         r = first + at * _STEP
@@ -102,9 +97,9 @@ def _edge_points(image: Array, u: float, v: float, radius: float, share: float, 
 
 
 @kernel(nogil=True)
-def _rise(profile: Array, count: int, share: float, contrast: float) -> float:
-    """Where the profile crosses half of its first rise of at least ``share`` of its steepest from dark to
-    bright, in samples; NaN where that is below ``contrast``.
+def _rise(profile: Array, count: int, contrast: float) -> float:
+    """Where the profile crosses half of its steepest rise from dark to bright, in samples; NaN where that is
+    below ``contrast``.
     """
     span = int(2.4 / _STEP)  # px over which an edge rises
     best, at = 0.0, -1
@@ -114,11 +109,6 @@ def _rise(profile: Array, count: int, share: float, contrast: float) -> float:
             best, at = rise, i
     if best < contrast:
         return math.nan
-    for i in range(at):
-        rise = profile[i + span] - profile[i]
-        if rise >= share * best and rise >= profile[i + 1 + span] - profile[i + 1]:
-            at = i
-            break
     low, high = profile[at], profile[at + span]
     half = 0.5 * (low + high)
     for i in range(at, at + span):
@@ -177,7 +167,7 @@ def _fit_circle(points: Array, px_m: float) -> Circle:
     apart = min(1.0, 2.0 * math.pi * radius / px_m / RAYS / GRAIN_PX)
     spread = np.linalg.inv(J.T @ J)[:2, :2] * noise**2 / apart
     covariance = spread + (FLOOR_PX * px_m) ** 2 * np.eye(2)
-    return Circle(middle, radius, covariance, share, points[inlier])
+    return Circle(middle, radius, covariance)
 
 
 def _within(radius: float, px_m: float) -> float:

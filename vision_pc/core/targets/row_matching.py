@@ -4,8 +4,6 @@ A pattern that repeats along the row has no unique match: whoever takes the best
 place with confidence. The second peak, and the way back from the right eye to the left, tell.
 """
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 
@@ -28,35 +26,15 @@ _MOST_TOLD = 24  # places that look alike
 _TEXTURE = 1.6  # grey: standard deviation of a smoothed template below which it shows noise alone
 
 
-class Match(NamedTuple):
-    """The right eye's pixel (2,), its correlation, and the inverse depth 1/m that it means."""
-
-    right_px: Array
-    score: float
-    inverse_depth: float
-
-
-class Alike(NamedTuple):
-    """A place (2,) px of the right eye that looks like a pixel of the left one, and what it means."""
-
-    place: Array
-    inverse_depth: float
-    candidate: Candidate
-
-
-class _Peaks(NamedTuple):
-    places: Array
-    scores: Array
-
-
 def match(
     pair: StereoPair,
     camera: CameraCalibration,
     pixel: Array,
     depths_m: tuple[float, float],
     half: int = HALF,
-) -> Match:
-    """The one place in the right picture that looks like ``pixel`` (2,) px of the left one.
+) -> float:
+    """The inverse depth (1/m) of what the left eye sees at ``pixel`` (2,) px, by the one place in the right
+    picture that looks like it.
 
     ``depths_m``: nearest and farthest. ``half``: px about it that are compared, fewer at the picture's rim.
     Raises TargetRefused: ``target.outside_picture``, ``target.low_texture``, ``target.ambiguous`` with
@@ -74,42 +52,34 @@ def match(
         )
     ray = np.append(intrinsics.normalised(camera.left, pixel[None])[0], 1.0)
     ends = np.array([_seen_right(camera, ray, 1.0 / depth) for depth in depths_m])
-    found = _peaks(pair.right, template, ends)
-    if not len(found.scores) or found.scores[0] < _LEAST:
-        best = found.scores[0] if len(found.scores) else 0.0
+    places, scores = _peaks(pair.right, template, ends)
+    if not len(scores) or scores[0] < _LEAST:
+        best = scores[0] if len(scores) else 0.0
         bare = contrast < 3.0 * _TEXTURE
         cause, why = ("low_texture", ", and little to see") if bare else ("no_match", "")
         words = f"target: nothing looks like it in the other eye{why}: correlation {best:.2f}"
         raise TargetRefused(f"target.{cause}", f"{words}, at least {_LEAST} is wanted")
-    alike = found.scores > found.scores[0] - _MARGIN
+    alike = scores > scores[0] - _MARGIN
     if alike.sum() > 1:
-        raise _ambiguous(
-            camera, ray, found.places[alike], f"{alike.sum()} places look alike in the other eye"
-        )
-    back = _peaks(pair.left, _template(pair.right, found.places[0], half), _way_back(pixel, ends))
-    alike = back.scores > back.scores[0] - _MARGIN if len(back.scores) else np.zeros(0, dtype=bool)
-    if alike.sum() != 1 or np.abs(back.places[0] - pixel).max() > _BACK:
-        raise _ambiguous(
-            camera, ray, found.places[:1], "the other eye's place for it lies elsewhere in this one"
-        )
-    return Match(found.places[0], float(found.scores[0]), _inverse_depth(camera, ray, found.places[0]))
+        raise _ambiguous(camera, ray, places[alike], f"{alike.sum()} places look alike in the other eye")
+    back, scores = _peaks(pair.left, _template(pair.right, places[0], half), _way_back(pixel, ends))
+    alike = scores > scores[0] - _MARGIN if len(scores) else np.zeros(0, dtype=bool)
+    if alike.sum() != 1 or np.abs(back[0] - pixel).max() > _BACK:
+        raise _ambiguous(camera, ray, places[:1], "the other eye's place for it lies elsewhere in this one")
+    return _inverse_depth(camera, ray, places[0])
 
 
 def places_alike(
     pair: StereoPair, camera: CameraCalibration, pixel: Array, depths_m: tuple[float, float]
-) -> list[Alike]:
+) -> tuple[Candidate, ...]:
     """All places in the right picture that look as much like ``pixel`` as the best one, best first.
 
     None where nothing looks like it.
     """
     ray = np.append(intrinsics.normalised(camera.left, pixel[None])[0], 1.0)
     ends = np.array([_seen_right(camera, ray, 1.0 / depth) for depth in depths_m])
-    found = _peaks(pair.right, _template(pair.left, pixel, HALF), ends)
-    return [
-        Alike(place, inverse, Candidate((float(place[0]), float(place[1])), ray / inverse))
-        for place in found.places[found.scores > max(found.scores.max(initial=-1.0) - _MARGIN, _LEAST)]
-        if (inverse := _inverse_depth(camera, ray, place)) > 0.0
-    ]
+    places, scores = _peaks(pair.right, _template(pair.left, pixel, HALF), ends)
+    return _candidates(camera, ray, places[scores > max(scores.max(initial=-1.0) - _MARGIN, _LEAST)])
 
 
 def refuse_outside(pixel: Array, camera: CameraCalibration) -> None:
@@ -124,12 +94,16 @@ def refuse_outside(pixel: Array, camera: CameraCalibration) -> None:
 
 
 def _ambiguous(camera: CameraCalibration, ray: Array, places: Array, why: str) -> TargetRefused:
-    candidates = []
-    for place in places[:_MOST_TOLD]:
-        inverse = _inverse_depth(camera, ray, place)
-        if inverse > 0.0:
-            candidates.append(Candidate((float(place[0]), float(place[1])), ray / inverse))
-    return TargetRefused("target.ambiguous", f"target: {why}", tuple(candidates))
+    return TargetRefused("target.ambiguous", f"target: {why}", _candidates(camera, ray, places[:_MOST_TOLD]))
+
+
+def _candidates(camera: CameraCalibration, ray: Array, places: Array) -> tuple[Candidate, ...]:
+    """What the ``places`` (n, 2) px of the right eye mean on ``ray``, those before the eyes."""
+    return tuple(
+        Candidate((float(place[0]), float(place[1])), ray / inverse)
+        for place in places
+        if (inverse := _inverse_depth(camera, ray, place)) > 0.0
+    )
 
 
 def _template(image: Image, pixel: Array, half: int) -> Image:
@@ -139,15 +113,15 @@ def _template(image: Image, pixel: Array, half: int) -> Image:
     return np.asarray(cv2.GaussianBlur(image[rows, columns], (5, 5), 1.0), dtype=np.uint8)
 
 
-def _peaks(image: Image, template: Image, ends: Array) -> _Peaks:
-    """Places (n, 2) between the ``ends`` (2, 2) at which the template is found, best first."""
+def _peaks(image: Image, template: Image, ends: Array) -> tuple[Array, Array]:
+    """Places (n, 2) between the ``ends`` (2, 2) at which the template is found, and scores, best first."""
     height, width = image.shape
     reach_y, reach_x = template.shape[0] // 2, template.shape[1] // 2
     low, high = np.floor(ends.min(axis=0)).astype(int), np.ceil(ends.max(axis=0)).astype(int)
     left, right = max(low[0] - reach_x - 2, 0), min(high[0] + reach_x + 3, width)
     top, bottom = max(low[1] - reach_y - _ROWS, 0), min(high[1] + reach_y + _ROWS + 1, height)
     if right - left < template.shape[1] or bottom - top < template.shape[0]:
-        return _Peaks(np.zeros((0, 2)), np.zeros(0))
+        return np.zeros((0, 2)), np.zeros(0)
     strip = cv2.GaussianBlur(image[top:bottom, left:right], (5, 5), 1.0)
     scores = cv2.matchTemplate(strip, template, cv2.TM_CCOEFF_NORMED)
     rows, best = scores.argmax(axis=0), scores.max(axis=0)
@@ -155,7 +129,7 @@ def _peaks(image: Image, template: Image, ends: Array) -> _Peaks:
     columns = np.flatnonzero((best >= wide) & np.isfinite(best))
     columns = columns[np.argsort(-best[columns], kind="stable")]
     places = np.column_stack([columns + left + reach_x, rows[columns] + top + reach_y]).astype(np.float64)
-    return _Peaks(places, best[columns].astype(np.float64))
+    return places, best[columns].astype(np.float64)
 
 
 def _way_back(pixel: Array, ends: Array) -> Array:

@@ -49,20 +49,19 @@ def refuse_contradicted(
     where what lies around speaks for another of those that look alike.
     """
     alike = places_alike(sighted.pair, camera, pixel, DEPTHS_M)
-    candidates = tuple(other.candidate for other in alike)
     ray, n = np.append(intrinsics.normalised(camera.left, pixel[None])[0], 1.0), _plane_of(chosen)
     at = right_pixels(camera.right, ray[None], np.array([n @ ray]))[0]
-    others = [other for other in alike if np.abs(other.place - at).max() > _SAME_PLACE_PX]
+    others = [other for other in alike if np.abs(other.right_px - at).max() > _SAME_PLACE_PX]
     if alike and len(others) == len(alike) and chosen.kind == "plane":
         why = "target: other places look more like it than the one that was clicked in the other eye"
-        raise TargetRefused("target.contradicted", why, candidates)
+        raise TargetRefused("target.contradicted", why, alike)
     if not others:
         return chosen
     around = _around(sighted, camera, pixel)
     own = _correlations(camera, around, n)
     for other in others:
         try:
-            plane = plane_at(sighted.pair, camera, pixel, other.inverse_depth)
+            plane = plane_at(sighted.pair, camera, pixel, 1.0 / float(other.p_C[2]))
         except TargetRefused:
             continue
         its = _correlations(camera, around, plane.n)
@@ -74,7 +73,7 @@ def refuse_contradicted(
                 "target.contradicted",
                 f"target: at {far:.0f} mm from the camera {for_it} places around it do not fit; they fit at "
                 f"{near:.0f} mm",
-                candidates,
+                alike,
             )
     return chosen
 

@@ -1,11 +1,8 @@
-"""Stereo cameras behind one interface: the emulated stream, a side-by-side UVC device, two
-industrial cameras, a recorded directory.
-"""
+"""Stereo cameras behind one interface: the emulated stream, a side-by-side UVC device, industrial ones."""
 
 from collections.abc import Callable
 
 from vision_pc.config.camera import CameraSettings
-from vision_pc.shell.cameras.directory import DirectoryCamera
 from vision_pc.shell.cameras.genicam import GenicamCamera
 from vision_pc.shell.cameras.source import CameraSource
 from vision_pc.shell.cameras.stream import StreamCamera
@@ -20,6 +17,5 @@ def open_camera(settings: CameraSettings) -> CameraSource:
         "stream": StreamCamera,
         "uvc": UvcCamera,
         "genicam": GenicamCamera,
-        "directory": DirectoryCamera,
     }
     return kinds[settings.source](settings)

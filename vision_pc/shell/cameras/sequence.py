@@ -13,7 +13,7 @@ from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.odometry.shared_offset import FoundOffset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose, StereoPair
-from vision_pc.shell.cameras.directory import RecordedPair, recorded_pair
+from vision_pc.shell.cameras.grey_files import read_pair
 from vision_pc.shell.cameras.picture_files import EyeFiles, eye_files
 from vision_pc.shell.cameras.sequence_calibration import kitti_eyes, recorded_camera
 
@@ -88,7 +88,7 @@ def read_pairs(found: EyeFiles) -> Iterator[StereoPair | PairRecord]:
     shape, error = None, None
     for index, ((one, other), at_ns) in enumerate(zip(found.files, found.times_ns, strict=True)):
         try:
-            pair = recorded_pair(RecordedPair(index, at_ns, one, other))
+            pair = read_pair(one, other, at_ns, index)
             if pair.left.shape != (shape := shape or pair.left.shape):
                 why = f"{one} is of another size than the first picture"
                 raise ConfigurationError(UNREADABLE, why)

@@ -16,6 +16,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
+from vision_pc.core.hand_eye.solvers.noise import shown_and_expected
 from vision_pc.core.se3 import Array
 
 _STEPS = 30
@@ -154,29 +155,18 @@ def _linearised(H: Array, P: Array, doubts: Doubts, X: Array, Z: Array, errors: 
 
 def _white(linear: _LinearisedErrors, factors: Array) -> tuple[Array, Array]:
     """Slope (6 n, 12 + k) and residuals (6 n,) in units of the noise."""
-    W = _whitener(linear, factors)
+    V = np.tensordot(factors**2, linear.units, axes=1)
+    W = np.linalg.inv(np.linalg.cholesky(V))
     white = (W @ linear.residuals[..., None]).reshape(-1)
     return (W @ linear.slope).reshape(len(white), -1), white
 
 
-def _whitener(linear: _LinearisedErrors, factors: Array) -> Array:
-    V = np.tensordot(factors**2, linear.units, axes=1)
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(V)))
-
-
 def _factors(linear: _LinearisedErrors, factors: Array, prior: Array) -> Array:
     """The two noise factors (2,) that the residuals show, unknowns and shared errors being fitted."""
+    # as if no shared error had been taken off yet
+    residuals = linear.residuals - linear.slope[..., 12:] @ linear.errors
     for _ in range(_ROUNDS):
-        W = _whitener(linear, factors)
-        slope, white = _white(linear, factors)
-        white = white - slope[:, 12:] @ linear.errors  # as if no shared error had been taken off yet
-        covariance = np.linalg.inv(slope.T @ slope + prior)
-        left = white - slope @ (covariance @ (slope.T @ white))
-        K = factors[:, None, None, None] ** 2 * (W @ linear.units @ np.swapaxes(W, -1, -2))
-        by_sample, slopes = left.reshape(-1, 6), slope.reshape(len(W), 6, -1)
-        shown = np.einsum("ni,cnij,nj->c", by_sample, K, by_sample)
-        fitted = np.einsum("nia,cnij,njb,ab->c", slopes, K, slopes, covariance, optimize=True)
-        expected = np.trace(K, axis1=-2, axis2=-1).sum(axis=-1) - fitted
+        shown, expected = shown_and_expected(residuals, linear.slope, linear.units, factors, prior)
         new = np.sqrt((_PRIOR_DEGREES + factors**2 * shown) / (_PRIOR_DEGREES + expected))
         settled = bool((np.abs(np.log(new / factors)) < _SETTLED).all())
         factors = new

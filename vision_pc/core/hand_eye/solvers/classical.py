@@ -1,4 +1,4 @@
-"""Classical solvers: OpenCV's on poses, guarded against its defects, the same on bare motions; DQCR.
+"""Classical solvers: OpenCV's, guarded against its defects; DQCR.
 
 OpenCV 4.14 returns NaN (Daniilidis), reflections (Park) or, after a line on standard error, a rotation that
 has nothing to do with the data (Tsai, which drops motions under 15 degrees). Here a result is a proper pose
@@ -7,7 +7,7 @@ or an error.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,7 +66,7 @@ def from_poses(pairs: PosePairs, motions: Motions, method: Method) -> SolverEsti
         return SolverEstimate(X, Z)
     if method is Method.TSAI and not _enough_for_opencv_tsai(motions):
         note = "OpenCV's Tsai would drop these rotations under 15 degrees; solved without its filter"
-        return SolverEstimate(from_motions(motions, method), notes=(note,))
+        return SolverEstimate(_tsai(motions), notes=(note,))
     poses = (H[:, :3, :3], H[:, :3, 3], P[:, :3, :3], P[:, :3, 3])
     R, t = _called(cv2.calibrateHandEye, method, poses, AX_XB[method])
     return SolverEstimate(_proper(R, t, method))
@@ -105,24 +105,15 @@ def _enough_for_opencv_tsai(motions: Motions) -> bool:
     return len(kept) > 1 and bool(np.linalg.eigvalsh(kept.T @ kept / len(kept))[1] > _TSAI_SECOND_AXIS**2)
 
 
-def from_motions(motions: Motions, method: Method) -> Array:
-    """X (4, 4) from bare motions A X = X B, where no poses exist that OpenCV could take.
-
-    Tsai, Park, Horaud and Daniilidis; on the motions of all pairs of samples they equal OpenCV's. Raises
-    MeasurementFailed like ``from_poses``, ValueError for another method.
+def _tsai(motions: Motions) -> Array:
+    """X (4, 4) by Tsai and Lenz 1989, eq. (12), (14), from all motions: skew(a + b) p = b − a, where a and b
+    are twice the vector parts. Raises MeasurementFailed as ``from_poses``.
     """
     dual = dual_quaternions(motions)
-    if method is Method.DANIILIDIS:
-        return _daniilidis(dual)
-    if method is Method.TSAI:
-        R = _tsai_rotation(dual)
-    elif method is Method.PARK:
-        R = _park_rotation(motions)
-    elif method is Method.HORAUD:
-        R = stacks.rotation_from_quaternion(np.linalg.eigh(forms(dual).RR)[1][:, 0])
-    else:
-        raise ValueError(f"{method} needs poses")
-    return _proper(R, _translation(motions, R), method)
+    a, b = 2.0 * dual.x[:, 1:], 2.0 * dual.y[:, 1:]
+    p = np.linalg.lstsq(stacks.hat(a + b).reshape(-1, 3), (b - a).reshape(-1), rcond=None)[0]
+    R = stacks.rotation_from_quaternion(np.concatenate([[1.0], p]) / math.sqrt(1.0 + p @ p))
+    return _proper(R, _translation(motions, R), Method.TSAI)
 
 
 def _translation(motions: Motions, R: Array) -> Array:
@@ -132,55 +123,7 @@ def _translation(motions: Motions, R: Array) -> Array:
     return np.asarray(np.linalg.lstsq(rows, right, rcond=None)[0])
 
 
-def _tsai_rotation(dual: DualQuaternions) -> Array:
-    """Tsai and Lenz 1989, eq. (12), (14): skew(a + b) p = b − a, a and b twice the vector parts."""
-    a, b = 2.0 * dual.x[:, 1:], 2.0 * dual.y[:, 1:]
-    p = np.linalg.lstsq(stacks.hat(a + b).reshape(-1, 3), (b - a).reshape(-1), rcond=None)[0]
-    return stacks.rotation_from_quaternion(np.concatenate([[1.0], p]) / math.sqrt(1.0 + p @ p))
-
-
-def _park_rotation(motions: Motions) -> Array:
-    """Park and Martin 1994: R = (MᵀM)^(−1/2) Mᵀ with M = Σ b aᵀ of the rotation vectors."""
-    M = stacks.log_so3(motions.B[:, :3, :3]).T @ stacks.log_so3(motions.A[:, :3, :3])
-    U, _, Vt = np.linalg.svd(M)
-    return np.asarray((U @ Vt).T)
-
-
-def _daniilidis(dual: DualQuaternions) -> Array:
-    """Daniilidis 1999, (31) to (35), Hua et al. 2024, (13) to (16): null space of stacked screw equations."""
-    a, b = dual.x[:, 1:], dual.y[:, 1:]
-    a_dual, b_dual = dual.x_dual[:, 1:], dual.y_dual[:, 1:]
-    S = np.zeros((len(a), 6, 8))
-    S[:, :3, 0] = S[:, 3:, 4] = a - b
-    S[:, :3, 1:4] = S[:, 3:, 5:] = stacks.hat(a + b)
-    S[:, 3:, 0] = a_dual - b_dual
-    S[:, 3:, 1:4] = stacks.hat(a_dual + b_dual)
-    u, v = np.linalg.svd(S.reshape(-1, 8), full_matrices=True)[2][-2:]
-    roots = np.roots([u[:4] @ u[4:], u[:4] @ v[4:] + v[:4] @ u[4:], v[:4] @ v[4:]])
-    if np.abs(roots.imag).max(initial=0.0) > 0.0 or not len(roots):
-        raise MeasurementFailed(
-            "measurement.hand_eye.no_solution", "daniilidis: the null space holds no unit dual quaternion"
-        )
-    candidates = [s * u + v for s in roots.real]
-    q = max(candidates, key=lambda c: float(c[:4] @ c[:4]))
-    q = q / np.linalg.norm(q[:4])
-    return stacks.transform(stacks.rotation_from_quaternion(q[:4]), translation_of_dual(q[:4], q[4:]))
-
-
-class Forms(NamedTuple):
-    """The quadratic forms of DQCR's two problems over g and g': Σ RᵀR and Σ RᵀD, (4, 4) each."""
-
-    RR: Array
-    RD: Array
-
-
-def forms(motions: DualQuaternions) -> Forms:
-    """The quadratic forms of these motions."""
-    R, D = motions.rotation_rows(), motions.dual_rows()
-    return Forms(*(np.einsum("mij,mik->jk", R, second) for second in (R, D)))
-
-
-def dqcr(f: Forms) -> tuple[Array, Certificate]:
+def dqcr(motions: DualQuaternions) -> tuple[Array, Certificate]:
     """X (4, 4) by DQCR's two problems in closed form, and the certificate of problem 1.
 
     With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i =
@@ -188,14 +131,16 @@ def dqcr(f: Forms) -> tuple[Array, Certificate]:
     g‖² with gᵀg' = 0 (Hua et al. 2024, section 4.2). The first is a 4×4 eigenvalue problem and the second
     one of linear least squares, so the published moment relaxations are tight and have the same answer.
     """
-    values, vectors = np.linalg.eigh(f.RR)
+    R, D = motions.rotation_rows(), motions.dual_rows()
+    RR, RD = (np.einsum("mij,mik->jk", R, second) for second in (R, D))
+    values, vectors = np.linalg.eigh(RR)
     g = vectors[:, 0]
-    scale = float(np.trace(f.RR)) / 4.0
+    scale = float(np.trace(RR)) / 4.0
     system = np.zeros((5, 5))
-    system[:4, :4] = f.RR / scale
+    system[:4, :4] = RR / scale
     system[:4, 4] = system[4, :4] = g
-    g_dual = np.linalg.solve(system, np.append(-f.RD @ g / scale, 0.0))[:4]
-    S = f.RR - values[0] * np.eye(4)
+    g_dual = np.linalg.solve(system, np.append(-RD @ g / scale, 0.0))[:4]
+    S = RR - values[0] * np.eye(4)
     least, largest = float(np.linalg.eigvalsh(S)[0]), float(values[-1])
     certificate = Certificate(
         "eigenvalue problem, KKT", least / largest, float(np.abs(S @ g).max()) / largest, 0.0, rank=1

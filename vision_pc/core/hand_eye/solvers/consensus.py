@@ -55,7 +55,7 @@ def parts(pairs: PosePairs, motions: Motions) -> Parts:
     n = len(pairs)
     rows = dual_quaternions(motions).rotation_rows()
     forms = np.zeros((n, n, 4, 4))
-    i, j = np.array(motions.first), np.array(motions.second)
+    i, j = np.triu_indices(n, k=1)
     forms[i, j] = forms[j, i] = np.swapaxes(rows, -1, -2) @ rows
     R_H_transposed = np.swapaxes(pairs.H[:, :3, :3], -1, -2)
     rows_t = np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), -R_H_transposed], axis=-1)

@@ -80,13 +80,6 @@ class Judgement(NamedTuple):
             raise MeasurementFailed(self.doubts[0].cause, self.doubts[0].reason)
 
 
-class _Misread(NamedTuple):
-    """The mistake that explains the samples, in ``words``."""
-
-    cause: str
-    words: str
-
-
 def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[HandEyeResult, Judgement]:
     """The calibration, the lens's share in its covariance, and what to believe of it.
 
@@ -112,8 +105,9 @@ def judged(pairs: PosePairs, result: HandEyeResult) -> Judgement:
     as_given, others = readings.given(pairs), readings.others(pairs)
     misread = _misread(pairs, as_given, others, _BETTER)
     if as_given is not None and misread is not None:
-        words = f"{misread.words}, as given {_fits(as_given)}"
-        return Judgement((Doubt(misread.cause, words, refused=True),), None, None)
+        cause, words = misread
+        refusal = Doubt(cause, f"{words}, as given {_fits(as_given)}", refused=True)
+        return Judgement((refusal,), None, None)
     found = _scale(pairs, result)
     if (doubt := _scale_doubt(found)) is not None:
         doubts.append(doubt)
@@ -130,8 +124,8 @@ def explained(pairs: PosePairs, error: MeasurementFailed) -> MeasurementFailed:
     misread = _misread(pairs, as_given, others, _EXPLAINS)
     if misread is None:
         return error
-    words = f"{misread.words}, as given no solution ({error.cause})"
-    return MeasurementFailed(misread.cause, words)
+    cause, words = misread
+    return MeasurementFailed(cause, f"{words}, as given no solution ({error.cause})")
 
 
 def _corner_doubts(pairs: PosePairs) -> list[Doubt]:
@@ -141,15 +135,14 @@ def _corner_doubts(pairs: PosePairs) -> list[Doubt]:
     if pairs.corners is None:
         return []
     points, views, K, distortion = pairs.corners
-    off, unknown = [], 0
+    off = []
     for X_CP, seen in zip(pairs.P, views, strict=True):
         shown = np.isfinite(seen).all(axis=1)
         turn, place = se3.log_so3(X_CP[:3, :3]), X_CP[:3, 3].copy()
         expected = cv2.projectPoints(points[shown], turn, place, K, distortion)[0].reshape(-1, 2)
         off.append(np.linalg.norm(expected - seen[shown], axis=1))
-        unknown += _POSE
     sizes = np.concatenate(off)
-    freedom = max(2 * len(sizes) - unknown, 1) / (2 * len(sizes))
+    freedom = max(2 * len(sizes) - _POSE * len(views), 1) / (2 * len(sizes))
     noise_px = float(np.median(sizes)) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if noise_px <= _CORNER_PX:
         return []
@@ -167,9 +160,9 @@ def _gravest_first(doubts: list[Doubt]) -> tuple[Doubt, ...]:
 
 def _misread(
     pairs: PosePairs, as_given: Reading | None, others: tuple[Reading, ...], better: float
-) -> _Misread | None:
-    """The simplest of the readings that fit best, if they fit several times better than the given one, and
-    well enough to be believed themselves.
+) -> tuple[str, str] | None:
+    """Cause and words of the mistake that explains the samples: the simplest of the readings that fit best,
+    if they fit several times better than the given one, and well enough to be believed themselves.
     """
     others = tuple(one for one in others if _excess(pairs, one.noise, one.scale) <= 1.0)
     if not others or (as_given is not None and as_given.misfit < better * others[0].misfit):
@@ -179,7 +172,7 @@ def _misread(
     likely = [reading for reading in near if _mistakes(reading) == least]
     words = " or ".join(_describe_reading(reading) for reading in likely)
     cause = "misread" if all(reading.mistake for reading in likely) else "scale"
-    return _Misread(f"measurement.hand_eye.{cause}", f"likely {words}: {_fits(likely[0])}")
+    return f"measurement.hand_eye.{cause}", f"likely {words}: {_fits(likely[0])}"
 
 
 def _mistakes(reading: Reading) -> int:

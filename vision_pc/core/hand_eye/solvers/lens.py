@@ -7,7 +7,6 @@ errors move X is the estimator's linear answer; the camera's covariance is carri
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -23,78 +22,69 @@ FOCAL_STD = 0.002  # [E] relative; calibrations of one camera by different hands
 PRINCIPAL_STD = 0.002  # [E] of the focal length: 1 to 2 px at 720p
 # Radial terms trade between each other, so that k1 stands for all: half a pixel at half of 1000 px.
 DISTORTION_STD = (4e-3, 0.0, 4e-4, 4e-4, 0.0)  # [E] of k1 k2 p1 p2 k3
-_USUAL_FOCAL_PX = 1000.0  # of a camera that nobody described; results do not depend on it
+_USUAL_K = np.diag(
+    [1000.0, 1000.0, 1.0]
+)  # px, of a camera that nobody described; results do not depend on it
 _HALF_SIDE = 0.1  # of a target whose corners nobody gave, over its distance
-_PARAMETERS = 9
 
 
-class KnownLens(NamedTuple):
-    """``K`` (3, 3) px and ``distortion`` (k,) that pictures were measured with, and how well they are known:
-    ``covariance`` (9, 9) of fx, fy, cx, cy (px) and k1 k2 p1 p2 k3, or of the first four.
+def usual_covariance(K: Array) -> Array:
+    """The covariance (9, 9) of fx, fy, cx, cy (px) and k1 k2 p1 p2 k3 of a camera ``K`` (3, 3) that is known
+    as well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad, distortion to half a pixel.
     """
-
-    K: Array
-    distortion: Array
-    covariance: Array
-
-
-def usual(K: Array | None = None, distortion: Array | None = None) -> KnownLens:
-    """A lens known as well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad, distortion to
-    half a pixel."""
-    if K is None:
-        K = np.diag([_USUAL_FOCAL_PX, _USUAL_FOCAL_PX, 1.0])
     f = np.array([K[0, 0], K[1, 1]])
-    common = np.zeros((_PARAMETERS, _PARAMETERS))
+    common = np.zeros((9, 9))
     common[:2, :2] = np.outer(FOCAL_STD * f, FOCAL_STD * f)  # both focal lengths are off by the same share
     common[2:4, 2:4] = np.diag((PRINCIPAL_STD * f) ** 2)
     common[4:, 4:] = np.diag(np.square(DISTORTION_STD))
-    return KnownLens(K, np.zeros(5) if distortion is None else distortion, common)
+    return common
 
 
 def widened(pairs: PosePairs, result: HandEyeResult) -> HandEyeResult:
     """``result`` with the lens's share in its covariance, of a lens known as usual."""
     if result.covariance is None:
         return result
-    corners = pairs.corners
-    lens = usual() if corners is None else usual(corners.K, corners.distortion)
+    K = _USUAL_K if pairs.corners is None else pairs.corners.K
     note = (
         f"focal length taken as known to {100.0 * FOCAL_STD:g} %, principal point to "
         f"{100.0 * PRINCIPAL_STD:g} % of it, k1 to {DISTORTION_STD[0]:g}"
     )
-    of_lens = share(pairs, result, lens)
+    of_lens = share(pairs, result, usual_covariance(K))
     covariance, notes = result.covariance + of_lens, (*result.notes, note)
     return replace(result, covariance=covariance, of_lens=of_lens, notes=notes)
 
 
-def share(pairs: PosePairs, result: HandEyeResult, lens: KnownLens) -> Array:
-    """What ``lens`` adds to the covariance of X (6, 6), by the samples that ``result`` used.
+def share(pairs: PosePairs, result: HandEyeResult, of_camera: Array) -> Array:
+    """What the covariance ``of_camera`` (9, 9), as of ``usual_covariance``, adds to that of X (6, 6), by the
+    samples that ``result`` used.
 
     Where no corners are known, a square target of a fifth of its distance stands in for it.
     """
     inliers = pairs.subset(result.inliers[np.array(pairs.order)])
     equations = Equations(inliers.H, inliers.P, np.ones(len(inliers)), inliers.setup)
     noise = result.noise or result.residual_noise()
-    moved = np.stack([_target_motion_by_lens(inliers, k, lens) for k in range(len(inliers))])
+    moved = np.stack([_target_motion_by_lens(inliers, k) for k in range(len(inliers))])
     r = ml.residuals(inliers.H, inliers.P, result.X, result.Z)
     W = ml.whitener(equations, result.X, result.Z, noise)
     J = ml.whitened(W, ml.jacobian(equations, result.X, result.Z, r)).reshape(-1, 12)
     D = ml.whitened(W, moved).reshape(-1, moved.shape[-1])
     by_lens = np.linalg.solve(J.T @ J, J.T @ D)[:6]
-    return np.asarray(by_lens @ lens.covariance @ by_lens.T)
+    return np.asarray(by_lens @ of_camera @ by_lens.T)
 
 
-def _target_motion_by_lens(pairs: PosePairs, k: int, lens: KnownLens) -> Array:
+def _target_motion_by_lens(pairs: PosePairs, k: int) -> Array:
     """How the measured target of sample k moves, [δp; δθ] in camera axes, for each of the lens's numbers."""
-    P = pairs.P[k]
+    P, K, distortion = pairs.P[k], _USUAL_K, np.zeros(5)
     if pairs.corners is None:
         side = _HALF_SIDE * float(np.linalg.norm(P[:3, 3]))
         points = side * np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
     else:
         points = pairs.corners.points_P[np.isfinite(pairs.corners.pixels[k]).all(axis=-1)]
+        K, distortion = pairs.corners.K, pairs.corners.distortion
     turned = points @ P[:3, :3].T
     nothing = np.zeros(3)
-    slopes = cv2.projectPoints(turned + P[:3, 3], nothing, nothing, lens.K, lens.distortion)[1]
+    slopes = cv2.projectPoints(turned + P[:3, 3], nothing, nothing, K, distortion)[1]
     by_point = slopes[:, 3:6].reshape(-1, 2, 3)
     by_pose = np.concatenate([by_point, -by_point @ stacks.hat(turned)], axis=-1).reshape(-1, 6)
-    by_lens = slopes[:, 6 : 6 + len(lens.covariance)]
+    by_lens = slopes[:, 6:15]
     return np.asarray(-np.linalg.lstsq(by_pose, by_lens, rcond=None)[0])

@@ -18,7 +18,7 @@ from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import chordal, classical, consensus, held_out
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
-from vision_pc.core.hand_eye.solvers.classical import dqcr, forms
+from vision_pc.core.hand_eye.solvers.classical import dqcr
 from vision_pc.core.hand_eye.solvers.consensus import parts
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions, dual_quaternions
@@ -129,7 +129,7 @@ def solve(pairs: PosePairs, method: Method = Method.ROBUST) -> HandEyeResult:
     elif method in CLASSICAL:
         found = classical.from_poses(pairs, motions, method)
     else:
-        X, certificate = dqcr(forms(dual_quaternions(motions)))
+        X, certificate = dqcr(dual_quaternions(motions))
         found = SolverEstimate(X, certificate=certificate)
     return _result(pairs, method, seen, found)
 

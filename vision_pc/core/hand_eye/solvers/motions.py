@@ -7,28 +7,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.se3 import Array
 from vision_pc.core.se3_stacks import hat
 
-Indices = NDArray[np.int64]
-
 _SIGN_IN_DOUBT_COS = math.cos(math.radians(80.0))  # half angle: motions beyond 160 degrees
 
 
 class Motions(NamedTuple):
-    """Motions A (hand) and B (camera), (m, 4, 4) each, with A X = X B.
-
-    ``first`` and ``second`` (m,) index the samples that each motion joins; empty when motions came as such.
-    """
+    """Motions A (hand) and B (camera), (m, 4, 4) each, with A X = X B."""
 
     A: Array
     B: Array
-    first: tuple[int, ...] = ()
-    second: tuple[int, ...] = ()
 
 
 class DualQuaternions(NamedTuple):
@@ -54,13 +46,7 @@ class DualQuaternions(NamedTuple):
 def all_motions(pairs: PosePairs) -> Motions:
     """The motions of all pairs of samples i < j: A = H_j⁻¹ H_i, B = P_j P_i⁻¹ (Hua et al. eq. 1)."""
     i, j = np.triu_indices(len(pairs), k=1)
-    return _between(pairs, i, j)
-
-
-def _between(pairs: PosePairs, i: Indices, j: Indices) -> Motions:
-    A = stacks.inverse(pairs.H[j]) @ pairs.H[i]
-    B = pairs.P[j] @ stacks.inverse(pairs.P[i])
-    return Motions(A, B, tuple(map(int, i)), tuple(map(int, j)))
+    return Motions(stacks.inverse(pairs.H[j]) @ pairs.H[i], pairs.P[j] @ stacks.inverse(pairs.P[i]))
 
 
 def dual_quaternions(motions: Motions) -> DualQuaternions:

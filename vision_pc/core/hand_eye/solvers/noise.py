@@ -37,17 +37,15 @@ def starting_noise(rotation: float, translation: float, both: bool = False) -> N
     return Noise(share * rotation, share * translation, share * rotation, share * translation)
 
 
-def estimated(
-    equations: Equations, X: Array, Z: Array, noise: Noise, both: bool = True
-) -> tuple[Estimate, Noise]:
-    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of camera and robot, or of the camera
-    alone, that its residuals show.
+def estimated(equations: Equations, X: Array, Z: Array, noise: Noise) -> tuple[Estimate, Noise]:
+    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of camera and robot that its residuals
+    show.
 
     ``noise`` gives the size from which to search. Under 5 samples all of it is taken as the camera's, and the
     ratio of rotation to translation is kept.
     """
     samples = int((equations.weights > 0.5).sum())
-    both = both and samples >= _FOR_RATIO
+    both = samples >= _FOR_RATIO
     size, shift = USUAL_RATIO
     if samples >= _FOR_RATIO:
         size = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
@@ -89,7 +87,7 @@ def _noise_explaining(linear: _LinearisedNoise, noise: Noise, keep_ratio: bool) 
     """The noise whose every component explains the residuals: each is scaled by what they show of it."""
     sizes = np.array([getattr(noise, name) for name in linear.fields])
     for _ in range(_ROUNDS):
-        squares, expected = _shown_and_expected(linear, sizes)
+        squares, expected = shown_and_expected(linear.residuals, linear.slope, linear.units, sizes)
         living = np.where(sizes <= _LEAST, 0.0, expected)
         share = living / max(float(living.sum()), 1e-12)
         if keep_ratio:
@@ -120,17 +118,21 @@ def _with_prior(squares: Array, expected: Array, sizes: Array) -> Array:
     )
 
 
-def _shown_and_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, Array]:
-    """For each component the squared residuals that it is to explain, and how much that should be.
+def shown_and_expected(
+    residuals: Array, slope: Array, units: Array, sizes: Array, prior: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """For each of c components of noise the squared residuals that it is to explain, and how much that should
+    be: they are equal when its ``sizes`` (c,) are right.
 
-    They are equal when the noise is right.
+    ``residuals`` (n, 6) with their ``slope`` (n, 6, k) by what is fitted to them, of which the information
+    ``prior`` (k, k) was there before; ``units`` (c, n, 6, 6): covariances of components of size 1.
     """
-    parts = sizes[:, None, None, None] ** 2 * linear.units
+    parts = sizes[:, None, None, None] ** 2 * units
     W = np.linalg.inv(np.linalg.cholesky(parts.sum(axis=0)))
     K = W @ parts @ np.swapaxes(W, -1, -2)
-    J = (W @ linear.slope).reshape(-1, linear.slope.shape[-1])
-    r = (W @ linear.residuals[..., None]).reshape(-1)
-    covariance = ml.covariance(J.T @ J)
+    J = (W @ slope).reshape(-1, slope.shape[-1])
+    r = (W @ residuals[..., None]).reshape(-1)
+    covariance = ml.covariance(J.T @ J + prior)
     r = r - J @ (covariance @ (J.T @ r))
 
     def across(columns: Array) -> Array:

@@ -1,0 +1,66 @@
+"""Pictures in files as grey levels, one or a pair."""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import ConfigurationError
+from vision_pc.core.types import Image, StereoPair
+
+_GREY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+_EXIF_WITHIN = 1 << 16  # [S] bytes: in JPEG it fits into one segment before the picture
+_TIFF = (b"II*\0", b"MM\0*")  # [S] TIFF 6.0, section 2
+
+
+def read_pair(left: Path, right: Path, capture_ns: int, frame_id: int) -> StereoPair:
+    """The pictures of both eyes. Raises ConfigurationError as ``read_grey``, or where they differ in size."""
+    pictures = read_grey(left), read_grey(right)
+    if pictures[0].shape != pictures[1].shape:
+        raise ConfigurationError("configuration.bad_recording", f"{left} and {right} differ in size")
+    return StereoPair(*pictures, capture_ns, frame_id)
+
+
+def read_grey(path: Path) -> Image:
+    """The picture in ``path``, (height, width) uint8; a transparent one lies on white. Of more bits than
+    eight, the upper eight of as many (8, 10, … 16) as its greatest value has, wherever a container has more.
+    Raises ConfigurationError when there is none, or one that its file wants to be shown turned, or several.
+    """
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise ConfigurationError("configuration.bad_recording", f"{path}: {error.strerror}") from error
+    picture = cv2.imdecode(data, _GREY) if data.size else None
+    if picture is None or picture.dtype not in (np.uint8, np.uint16):
+        why = "no picture, or one cut short" if data.size else "no picture: the file is empty"
+        raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
+    _refuse_turned_or_several(path, data, picture)
+    if picture.dtype == np.uint16:
+        bits = int(picture.max()).bit_length()
+        picture = np.right_shift(picture.astype(np.uint16), max(bits + bits % 2 - 8, 0)).astype(np.uint8)
+    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if _may_be_transparent(data) else None
+    if layers is None or layers.ndim < 3 or layers.shape[2] != 4:
+        return np.asarray(picture, dtype=np.uint8)
+    share = layers[..., 3] / (255.0 if layers.dtype == np.uint8 else 65535.0)
+    return np.asarray(np.round(share * picture + (1.0 - share) * 255.0), dtype=np.uint8)
+
+
+def _refuse_turned_or_several(path: Path, data: NDArray[np.uint8], picture: NDArray[Any]) -> None:
+    """Calibrations are of the sensor's rows, which EXIF may turn; of several pages the first was read."""
+    exif = b"exif" in data[:_EXIF_WITHIN].tobytes().lower()
+    pages = cv2.imcount(str(path)) if data[:4].tobytes() in _TIFF else 1
+    seen = cv2.imdecode(data, _GREY | cv2.IMREAD_IGNORE_ORIENTATION) if exif else None
+    if seen is not None and not np.array_equal(seen, picture):
+        why = "EXIF has it shown turned: save it as the sensor saw it, without EXIF"
+    elif pages > 1:
+        why = f"{pages} pictures in one file: save each one by itself"
+    else:
+        return
+    raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
+
+
+def _may_be_transparent(png: NDArray[np.uint8]) -> bool:
+    """Whether it is a PNG file whose colour type has an alpha channel, or a palette that may have one."""
+    return png[:4].tobytes() == b"\x89PNG" and len(png) > 25 and int(png[25]) in (3, 4, 6)
