@@ -1,7 +1,7 @@
 """Configuration of the stereo camera as it truly is; vision is told other, nominal numbers."""
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -36,7 +36,7 @@ class ShadowConfig(StrictModel):
 
 class GlareConfig(StrictModel):
     """The highlight of a lamp at ``lamp_m`` (in O) on glossy plates, which are the markers': it moves as one
-    looks from elsewhere.
+    looks from elsewhere. A lamp behind the wall (z ≤ 0) would light nothing.
 
     ``strength_grey`` is added where the lamp's mirror image lies, less around it as a bell of standard
     deviation ``width_m`` on the plate; 0: matt plates.
@@ -44,15 +44,7 @@ class GlareConfig(StrictModel):
 
     strength_grey: float = Field(default=0.0, ge=0.0, le=2000.0)
     width_m: float = Field(default=0.02, gt=0.0, le=1.0)
-    lamp_m: tuple[float, float, float] = (-0.3, 0.6, 2.0)
-
-    @model_validator(mode="after")
-    def _lamp_before_the_wall(self) -> "GlareConfig":
-        if not self.lamp_m[2] > 0.0:
-            raise ValueError(
-                f"lamp_m {self.lamp_m}: z must be above 0, a lamp behind the wall lights nothing"
-            )
-        return self
+    lamp_m: tuple[float, float, Annotated[float, Field(gt=0.0)]] = (-0.3, 0.6, 2.0)
 
 
 class LightingConfig(StrictModel):

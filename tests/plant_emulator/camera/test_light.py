@@ -142,7 +142,7 @@ def test_dirt_stays_in_one_eye_at_one_place() -> None:
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
-        ({"lighting": {"glare": {"lamp_m": [0.0, 0.0, -1.0]}}}, "behind the wall"),
+        ({"lighting": {"glare": {"lamp_m": [0.0, 0.0, -1.0]}}}, "lamp_m"),
         ({"lighting": {"shadow": {"factor": 1.5}}}, "less than or equal to 1"),
         ({"camera": {"dirt": [{"eye": "middle", "centre_px": [0.0, 0.0]}]}}, "'left' or 'right'"),
     ],

@@ -136,7 +136,7 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
     assert figures["coupler"]["requests"] == 59
     assert figures["camera"]["frames_sent"] >= 4
     assert figures["camera"]["frames_rendered"] >= 4
-    assert figures["memory_at_end"]["plant_rss_mb"] > 10.0
+    assert figures["memory"]["plant_rss_mb"] > 10.0
 
 
 @pytest.mark.slow("a plant starts as processes")
