@@ -183,6 +183,17 @@ def test_enable_without_a_plant_is_refused(settings: ScanSettings) -> None:
     assert bench.command(CommandCode.ENABLE) is Reason.PLANT_LINK_DOWN
 
 
+@pytest.mark.parametrize(
+    ("gone", "reason"),
+    [(("silent", True), Reason.PLANT_LINK_DOWN), (("link_alive", False), Reason.REFERENCE_LINK_DOWN)],
+)
+def test_reset_is_guarded(settings: ScanSettings, gone: tuple[str, bool], reason: Reason) -> None:
+    bench = _brought_to(Bench(settings), Mode.ERROR_HELD)
+    setattr(bench, *gone)
+    bench.run(0.1)
+    assert bench.command(CommandCode.RESET) is reason
+
+
 def test_a_tripped_plant_watchdog_is_rearmed_while_disabled(settings: ScanSettings) -> None:
     bench = Bench(settings, status=STATUS_SUPPLY_ON | STATUS_WATCHDOG_TRIPPED)
     bench.step()
