@@ -38,18 +38,6 @@ def _assert_nothing_moves(bench: Bench) -> None:
     assert bench.state.motion.path is None
 
 
-def test_not_finite_is_refused(bench: Bench) -> None:
-    here = bench.last.view.X_BT
-    for bad in (math.nan, math.inf, -math.inf):
-        assert bench.refer(Pose((bad, 0.0, 1.0), here.q_wxyz)).reason is Reason.NOT_FINITE
-        assert bench.refer(Pose(here.p_m, (bad, 0.0, 0.0, 0.0))).reason is Reason.NOT_FINITE
-        assert bench.refer(here, duration_s=bad).reason is Reason.NOT_FINITE
-    path = ReferencePath(77, (here, Pose((math.nan, 0.0, 1.0), here.q_wxyz)), 0.0, 0.0)
-    answer = bench.step(path).acknowledgements[0]
-    assert (answer.reason, answer.value) == (Reason.NOT_FINITE, 1.0)
-    _assert_nothing_moves(bench)
-
-
 def test_the_wrist_singularity_is_refused(bench: Bench, config: ControllerConfig) -> None:
     boom_pitch = math.radians(-25.0)  # tool axis along the boom: wrist 2 stretched
     answer = bench.refer(_turned(bench.last.view.X_BT, 0, boom_pitch))

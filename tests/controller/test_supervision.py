@@ -70,15 +70,6 @@ def test_faults_centre_the_valves_in_the_same_scan(
     assert any(event.name == "fault" and event.cause == fault.name for event in bench.last.events)
 
 
-def test_silence_is_measured_in_time_as_well_as_in_exchanges(settings: ScanSettings) -> None:
-    bench = Bench(settings).enabled()
-    bench.silent = True
-    bench.late_s = 0.06
-    bench.step()
-    bench.late_s = 0.06
-    assert bench.step().view.fault is FaultCode.PLANT_LINK_LOST
-
-
 def test_a_few_missed_exchanges_are_survived_and_counted(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     for _ in range(3):
@@ -270,34 +261,3 @@ def test_at_a_shorter_cycle_an_outage_may_last_as_long(quick: ScanSettings) -> N
     assert bench.last.view.fault is FaultCode.NONE
     bench.run(0.01)
     assert bench.last.view.fault is FaultCode.PLANT_LINK_LOST
-
-
-@pytest.mark.parametrize(
-    ("spoiled", "fault", "within_s"),
-    [("deaf", FaultCode.PLANT_LINK_LOST, 0.06), ("frozen", FaultCode.PLANT_CYCLE_FROZEN, 0.11)],
-)
-def test_at_a_shorter_cycle_a_plant_that_stands_is_found_as_soon(
-    quick: ScanSettings, spoiled: str, fault: FaultCode, within_s: float
-) -> None:
-    bench = Bench(quick).moving()
-    setattr(bench, spoiled, True)
-    assert 0.8 * within_s <= _until_fault(bench, 1.0) <= within_s
-    assert bench.last.view.fault is fault
-
-
-def test_at_a_shorter_cycle_the_arm_moves_streams_and_stops_as_ever(quick: ScanSettings) -> None:
-    bench = Bench(quick).moving()
-    bench.run(6.0)
-    assert bench.last.view.motion_done
-    assert bench.last.view.fault is FaultCode.NONE
-    bench.open_stream()
-    goal = bench.shifted(z=-0.05)
-    for number in range(1, 200):
-        assert bench.stream(number, goal) is None
-    silent = 0
-    while bench.last.view.fault is FaultCode.NONE:
-        bench.step()
-        silent += 1
-    assert bench.last.view.fault is FaultCode.REFERENCE_STALE
-    # The plant has the centred valves with the next exchange, within streaming.silence_ms = 100.
-    assert 90 <= silent <= 98
