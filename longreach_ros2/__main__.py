@@ -90,9 +90,10 @@ def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
 
     with process_log(_NAME) as log:
         if arguments.watch is None:
-            running.drive(arm, config, log, for_ros, tf=not arguments.no_tf, camera=arguments.camera)
+            tf, with_camera = not arguments.no_tf, arguments.camera
+            running.run(running.drive(arm, config, log, tf=tf, with_camera=with_camera), for_ros)
         else:
-            running.watch(arguments.watch, log, for_ros)
+            running.run(running.watch(arguments.watch, log), for_ros)
 
 
 def _run_lockstep(
@@ -103,7 +104,7 @@ def _run_lockstep(
 
     machine = SimulatedMachine(files, overrides)
     with process_log(_NAME) as log:
-        running.simulate(machine, arguments.pace, log, for_ros, tf=not arguments.no_tf)
+        running.run(running.simulate(machine, arguments.pace, log, tf=not arguments.no_tf), for_ros)
 
 
 def _check_lockstep(arguments: argparse.Namespace) -> None:

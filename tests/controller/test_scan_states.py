@@ -4,9 +4,8 @@ import itertools
 
 import pytest
 
-from controller.core.group_states import Stimulus, transition
 from controller.core.settings import ScanSettings
-from protocol.axes_group import GROUP_STATE, Mode
+from protocol.axes_group import Mode
 from protocol.faults import CommandCode, Reason
 from protocol.process_image import (
     CONTROL_ENABLE,
@@ -16,64 +15,11 @@ from protocol.process_image import (
 )
 from protocol.reference_messages import (
     FLAG_SETTLED,
-    FLAG_STREAMING,
     Command,
 )
 from tests.controller.obedient_plant import Bench
 
 ZERO = (0.0,) * 6
-
-
-def _brought_to(bench: Bench, mode: Mode) -> Bench:
-    """The bench in ``mode``, by the shortest honest way."""
-    if mode is Mode.DISABLED:
-        bench.step()
-    elif mode is Mode.STANDBY:
-        bench.enabled()
-    elif mode is Mode.STREAMING:
-        bench.streaming()
-    else:
-        bench.moving()
-    if mode is Mode.STOPPING:
-        bench.command(CommandCode.STOP)
-    elif mode is Mode.DISABLING:
-        bench.command(CommandCode.DISABLE)
-    elif mode is Mode.ERROR_RAMP:
-        bench.link_alive = False
-        bench.step()
-        bench.link_alive = True
-    elif mode is Mode.ERROR_HELD:
-        bench.status = STATUS_SUPPLY_ON | STATUS_WATCHDOG_TRIPPED
-        bench.step()
-        bench.status = STATUS_SUPPLY_ON
-        bench.step()
-    elif mode is Mode.EMERGENCY:
-        bench.command(CommandCode.EMERGENCY_STOP)
-    assert bench.state.mode is mode
-    return bench
-
-
-@pytest.mark.parametrize("mode", Mode)
-@pytest.mark.parametrize("stimulus", [s for s in Stimulus if s <= Stimulus.STREAMED])
-def test_every_state_answers_every_command_as_the_table_says(
-    settings: ScanSettings, mode: Mode, stimulus: Stimulus
-) -> None:
-    bench = _brought_to(Bench(settings), mode)
-    if stimulus is Stimulus.MOVE:
-        reason = bench.refer(bench.shifted(z=0.05)).reason
-    elif stimulus is Stimulus.STREAMED:
-        refusal = bench.stream(1000, bench.shifted(z=0.05))
-        reason = refusal.reason if refusal else Reason.ACCEPTED
-    else:
-        reason = bench.command(CommandCode(stimulus))
-    want = transition(mode, stimulus)
-    assert reason is want.reason
-    assert bench.state.mode is want.mode
-    assert bench.last.view.group_state is GROUP_STATE[want.mode]
-    assert bool(bench.last.view.flags & FLAG_STREAMING) == (want.mode is Mode.STREAMING)
-    live = want.mode not in (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY)
-    assert bool(bench.last.valves.control & CONTROL_ENABLE) == live
-    assert live or bench.last.valves.valves == ZERO
 
 
 def test_enabling_moves_nothing(settings: ScanSettings) -> None:
@@ -111,7 +57,11 @@ def test_enable_without_a_plant_is_refused(settings: ScanSettings) -> None:
     [(("silent", True), Reason.PLANT_LINK_DOWN), (("link_alive", False), Reason.REFERENCE_LINK_DOWN)],
 )
 def test_reset_is_guarded(settings: ScanSettings, gone: tuple[str, bool], reason: Reason) -> None:
-    bench = _brought_to(Bench(settings), Mode.ERROR_HELD)
+    bench = Bench(settings).moving()
+    bench.status = STATUS_SUPPLY_ON | STATUS_WATCHDOG_TRIPPED
+    bench.step()
+    bench.status = STATUS_SUPPLY_ON
+    bench.step()
     setattr(bench, *gone)
     bench.run(0.1)
     assert bench.command(CommandCode.RESET) is reason

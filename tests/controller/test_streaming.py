@@ -8,7 +8,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.settings import ScanSettings
 from protocol.axes_group import Mode
-from protocol.faults import FaultCode, GroupState
+from protocol.faults import FaultCode
 from protocol.pose import Pose
 from tests.controller.obedient_plant import Bench
 from tests.controller.streamed import (
@@ -52,26 +52,6 @@ def test_limits_hold_at_every_scan_whatever_the_references_do(
     assert longest(c) <= 1.05 * math.radians(limits.turn_jerk_deg_s3)
     joints = np.diff([output.view.q_cmd for output in bench.outputs], axis=0) / CYCLE_S
     assert (np.abs(joints) <= 1.05 * settings.planning.joint_speeds).all()
-
-
-def test_four_lost_in_a_row_at_60_hz_are_survived(settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    goal = bench.shifted(z=0.2)
-    number = bench.last.view.stream_number
-    for k in range(5):
-        assert bench.stream(number + 1 + k, goal) is None
-        before = len(bench.outputs)
-        bench.run(0.08)  # the next one comes 85 ms after this one
-        assert bench.state.fade > 0.0
-    bench.stream(number + 9, goal)
-    assert bench.last.view.group_state is GroupState.MOVING
-    streamed(bench, 60.0, 0.3, lambda t: goal)
-    assert bench.state.fade == 0.0
-    # slowed down and speeded up again without a step: no speed changes by more than the ramp's steepest
-    v = np.linalg.norm(np.diff(commanded(bench)[before:], axis=0), axis=1) / CYCLE_S
-    steepest = 1.5 * v.max() * CYCLE_S / settings.streaming.ramp_s
-    assert np.abs(np.diff(v)).max() <= steepest
-    assert v[-1] > 0.9 * v.max()
 
 
 def test_supervision_goes_on_in_a_stream(settings: ScanSettings) -> None:

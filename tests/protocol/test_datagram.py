@@ -103,17 +103,6 @@ def test_each_fault_has_its_cause(offset: int, code: str, value: int, cause: str
     assert cause_of(with_number(hello, offset, code, value)) == cause
 
 
-def test_the_crc_is_the_one_of_ethernet_over_all_but_itself() -> None:
-    datagram = encode(Bye(Reason.SHUTDOWN), HEADER)
-    without = datagram[:12] + datagram[16:]
-    register = 0xFFFFFFFF
-    for byte in without:
-        register ^= byte
-        for _ in range(8):
-            register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
-    assert struct.unpack_from("<I", datagram, 12)[0] == register ^ 0xFFFFFFFF
-
-
 @pytest.mark.parametrize("minor", [0, 1, 255])
 def test_a_newer_minor_version_and_unknown_optional_flags_are_read(minor: int) -> None:
     header = HEADER._replace(minor=minor, flags=0x00FF)

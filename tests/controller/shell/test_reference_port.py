@@ -117,21 +117,6 @@ async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort,
     assert stopped_after <= 10
 
 
-async def test_a_flood_of_the_peers_own_does_not_hold_up_a_stop(port: ReferencePort, meet: Meet) -> None:
-    """2500 valid requests in the socket, more than are judged in 70 cycles, then a stop."""
-    peer = meet(port, 10)
-    await peer.connect()
-    for _ in range(2500):
-        peer.submit(Command(0, CommandCode.ENABLE))
-    peer.submit(Command(0, CommandCode.EMERGENCY_STOP))
-    for data in peer.session.outgoing(time.monotonic_ns()):
-        peer.socket.send(data)
-    requests, _ = _take(port)
-    assert isinstance(requests[0], Command)
-    assert requests[0].code is CommandCode.EMERGENCY_STOP
-    assert port.drops["link.left_out"] > 1000
-
-
 async def test_a_busy_port_is_named(port: ReferencePort) -> None:
     host, number = port.address
     server = ReferenceServer(boot_id=1, arm_hash=2, cycle_ns=5_000_000, link_timeout_ms=TIMEOUT_MS)
