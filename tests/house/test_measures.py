@@ -13,16 +13,16 @@ from tests.house import measures
 # names what was asked for, and lowers another by as much. A patch may exceed it by PATCH; the next cut brings
 # the house below again (tests/packaging/test_contributions.py always adds one patch more).
 BUDGET = {
-    "lines of source": 83_954,
-    "statements of source": 41_867,
+    "lines of source": 83_610,
+    "statements of source": 41_671,
     "statements of ROS 2": 877,
-    "statements of conformance": 4_339,
+    "statements of conformance": 4_335,
     "statements of laboratory": 1_981,
     "statements of structured text": 2_579,
-    "statements of the product": 32_072,
-    "lines that the three services import": 51_127,
-    "lines of tests": 56_389,
-    "statements of tests": 30_625,
+    "statements of the product": 31_887,
+    "lines that the three services import": 50_830,
+    "lines of tests": 54_510,
+    "statements of tests": 29_323,
     # Asked for: the console holds time and shows its pace. For it went the fold of the valves' trials by eye.
     "lines of structured text, JavaScript, CSS and HTML": 8_493,
     "modules": 593,
