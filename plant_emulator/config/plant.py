@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -286,7 +287,7 @@ class PlantConfig(StrictModel):
         known = info.data
         if not {"actuators", "valves", "protection", "oil", "pump"} <= known.keys():
             return value  # the fault that hides them is reported instead
-        rate, reason = max(_rates(known))
+        rate, reason = max(_rates(known), key=itemgetter(0))
         limit = 1e3 * RUNGE_KUTTA_REACH / rate
         if value > limit:
             raise ValueError(f"must not exceed {limit:.3f}: {reason} would make Runge-Kutta diverge")
