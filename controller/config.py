@@ -13,8 +13,9 @@ from nominal_arm.commissioned import Commissioned, ValveSet
 _STREAM_MARGIN_MS = 2.0
 PARKING_BAND_MOST_MRAD = 0.2  # [D] two thirds of settled.tolerance_mrad
 
-Sextuple = tuple[float, float, float, float, float, float]
-Positive = Annotated[float, Field(gt=0.0)]
+Gain = Annotated[float, Field(gt=0.0, le=50.0)]
+Damping = Annotated[float, Field(ge=0.0, le=100.0)]
+FollowingError = Annotated[float, Field(gt=0.0, le=90.0)]
 
 
 class PoseServoConfig(StrictModel):
@@ -28,26 +29,14 @@ class PoseServoConfig(StrictModel):
 class JointControlConfig(StrictModel):
     """Joint control (6), PT-1 (25) on lift and tilt; feed-forward, pressure damping."""
 
-    gain_1_s: tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+    gain_1_s: tuple[Gain, Gain, Gain, Gain, Gain, Gain]
     pt1_time_constant_ms: float = Field(ge=0.0, le=2000.0)
     feed_forward: float = Field(ge=0.0, le=1.5)
     load_compensation: bool
-    pressure_damping_mrad_s_bar: Sextuple
+    pressure_damping_mrad_s_bar: tuple[Damping, Damping, Damping, Damping, Damping, Damping]
     pressure_high_pass_ms: float = Field(gt=0.0, le=10_000.0)
     deadband_blend: float = Field(gt=0.0, le=0.2)
     valve_limit: float = Field(gt=0.0, le=1.0)
-
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
-        if max(self.gain_1_s) > 50.0:
-            raise ValueError(f"gain_1_s: {max(self.gain_1_s)} is above 50")
-        if not all(0.0 <= value <= 100.0 for value in self.pressure_damping_mrad_s_bar):
-            damping = self.pressure_damping_mrad_s_bar
-            raise ValueError(f"pressure_damping_mrad_s_bar: {damping} must lie in 0…100")
-        return self
-
-
-Damping = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class LoadHoldingConfig(StrictModel):
@@ -124,7 +113,9 @@ class SupervisionConfig(StrictModel):
     frozen_exchanges: int = Field(ge=1, le=1000)
     echo_lag_cycles: int = Field(ge=1, le=1000)
     overrun_ms: float = Field(gt=0.0, le=5000.0)
-    following_error_deg: Sextuple
+    following_error_deg: tuple[
+        FollowingError, FollowingError, FollowingError, FollowingError, FollowingError, FollowingError
+    ]
     encoder_jump_deg: float = Field(gt=0.0, le=90.0)
     encoder_stuck_opening: float = Field(gt=0.0, le=1.0)
     encoder_stuck_ms: float = Field(gt=0.0, le=10_000.0)
@@ -133,12 +124,6 @@ class SupervisionConfig(StrictModel):
     supply_min_bar: float = Field(ge=0.0, le=400.0)
     workspace_margin_m: float = Field(ge=0.0, le=2.0)
     joint_overtravel_deg: float = Field(ge=0.0, le=10.0)
-
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
-        if not all(0.0 < value <= 90.0 for value in self.following_error_deg):
-            raise ValueError(f"following_error_deg: {self.following_error_deg} must lie in 0…90, 0 excluded")
-        return self
 
 
 class ExcitationConfig(StrictModel):

@@ -19,7 +19,8 @@ from concurrent.futures import Executor
 from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from protocol.errors import ConfigurationError, LinkLost
+from foundation.command_options import host_and_port
+from protocol.errors import LinkLost
 from protocol.plant_clock import IN_VAIN, PICTURE, SENT, START_NS, ClockMessage, TickKind, decode, encode
 
 CLOCK, PACE = "LONGREACH_CLOCK", "LONGREACH_PACE"
@@ -392,9 +393,4 @@ def use(clock: WallClock | PlantClock) -> None:
 def clock_address() -> tuple[str, int] | None:
     """Host and port of the plant's clock that the environment names. Raises ConfigurationError."""
     named = os.environ.get(CLOCK, "")
-    if not named:
-        return None
-    host, _, port = named.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
-        raise ConfigurationError("configuration.bad_value", f"{CLOCK}={named!r} is not HOST:PORT")
-    return host.strip("[]"), int(port)
+    return host_and_port(named, f"{CLOCK}={named!r}") if named else None

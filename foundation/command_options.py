@@ -30,6 +30,14 @@ def usual_configs() -> Path:
     return here if here.is_dir() else shipped_configs()
 
 
+def host_and_port(text: str, where: str) -> tuple[str, int]:
+    """What HOST:PORT says; ``where`` it is written. Raises ConfigurationError."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
+        raise ConfigurationError("configuration.bad_value", f"{where} is not HOST:PORT")
+    return host.strip("[]"), int(port)
+
+
 def options_of(kind: type[Any]) -> list[inspect.Parameter]:
     """The fields of a NamedTuple or dataclass as parameters of a command."""
     hints = get_type_hints(kind, include_extras=True)

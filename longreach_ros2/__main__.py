@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from foundation.command_options import usual_configs
+from foundation.command_options import host_and_port, usual_configs
 from foundation.configuration import load, merged, parse_overrides
 from foundation.event_log import process_log
 from nominal_arm.description import NominalArm
@@ -78,7 +78,8 @@ def _check_ros() -> None:
 def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
     overrides = parse_overrides(arguments.set)
     if arguments.controller is not None:
-        overrides = merged(overrides, {"vision": {"link": _address(arguments.controller)}})
+        host, port = host_and_port(arguments.controller, f"--controller {arguments.controller!r}")
+        overrides = merged(overrides, {"vision": {"link": {"host": host, "port": port}}})
     files = arguments.config_dir
     if arguments.lockstep:
         _check_lockstep(arguments)
@@ -90,9 +91,10 @@ def _run(arguments: argparse.Namespace, for_ros: list[str]) -> None:
 
     with process_log(_NAME) as log:
         if arguments.watch is None:
-            running.drive(arm, config, log, for_ros, tf=not arguments.no_tf, camera=arguments.camera)
+            tf, with_camera = not arguments.no_tf, arguments.camera
+            running.run(running.drive(arm, config, log, tf=tf, with_camera=with_camera), for_ros)
         else:
-            running.watch(arguments.watch, log, for_ros)
+            running.run(running.watch(arguments.watch, log), for_ros)
 
 
 def _run_lockstep(
@@ -103,7 +105,7 @@ def _run_lockstep(
 
     machine = SimulatedMachine(files, overrides)
     with process_log(_NAME) as log:
-        running.simulate(machine, arguments.pace, log, for_ros, tf=not arguments.no_tf)
+        running.run(running.simulate(machine, arguments.pace, log, tf=not arguments.no_tf), for_ros)
 
 
 def _check_lockstep(arguments: argparse.Namespace) -> None:
@@ -114,13 +116,6 @@ def _check_lockstep(arguments: argparse.Namespace) -> None:
     if not (math.isfinite(arguments.pace) and arguments.pace >= 0.0):
         words = "allowed are positive numbers, and 0 for as fast as it is computed"
         raise ConfigurationError("configuration.bad_value", f"--pace {arguments.pace:g}: {words}")
-
-
-def _address(text: str) -> dict[str, str | int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
-        raise ConfigurationError("configuration.bad_value", f"--controller {text!r} is not HOST:PORT")
-    return {"host": host.strip("[]"), "port": int(port)}
 
 
 if __name__ == "__main__":

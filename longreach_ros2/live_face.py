@@ -7,11 +7,12 @@ import time
 from collections.abc import AsyncIterator, Collection
 from typing import Any, NamedTuple
 
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidURI
 from websockets.typing import Subprotocol
 
+from foundation.recording.decoding import class_in
+from foundation.recording.mcap_file import Format
 from protocol.errors import ConfigurationError, LinkLost
 
 _SUBPROTOCOL = Subprotocol("foxglove.sdk.v1")
@@ -70,7 +71,6 @@ async def _read(connection: ClientConnection, topics: Collection[str]) -> AsyncI
 
 
 def _class_of(channel: dict[str, Any]) -> Any:
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(channel["schema"])).file:
-        pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
+    return class_in(
+        Format(channel["schemaName"], "protobuf", base64.b64decode(channel["schema"]), "protobuf")
+    )

@@ -28,7 +28,7 @@ from protocol.errors import ConfigurationError
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.camera_eyes import ProcessClock
-from vision_pc.shell.cameras import CameraSource, open_camera
+from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 
 _THREADS = 6  # four services, the action, and topics beside them
@@ -36,29 +36,12 @@ _STATE_PERIOD_MS = 10
 _STOP_S = 2.0
 
 
-def drive(
-    arm: NominalArm, config: VisionConfig, log: EventLog, for_ros: list[str], *, tf: bool, camera: bool
-) -> None:
-    """Drive the arm until asked to end; with ``camera`` show its pictures too.
+async def drive(arm: NominalArm, config: VisionConfig, log: EventLog, *, tf: bool, with_camera: bool) -> None:
+    """Drive the arm until asked to end; ``with_camera``: show its pictures too.
 
     Raises LinkLost for an address that is none, ConfigurationError.
     """
-    _run(_drive(arm, config, log, tf, open_camera(config.camera) if camera else None), for_ros)
-
-
-def simulate(machine: SimulatedMachine, pace: float, log: EventLog, for_ros: list[str], *, tf: bool) -> None:
-    """Drive ``machine``, which is in this process, and publish its /clock, until asked to end."""
-    _run(_simulate(machine, pace, log, tf), for_ros)
-
-
-def watch(url: str, log: EventLog, for_ros: list[str]) -> None:
-    """Publish what the live face at ``url`` shows, until asked to end. Raises as ``live_messages``."""
-    _run(_watch(url, log), for_ros)
-
-
-async def _drive(
-    arm: NominalArm, config: VisionConfig, log: EventLog, tf: bool, camera: CameraSource | None
-) -> None:
+    camera = open_camera(config.camera) if with_camera else None
     settings = config.link.model_copy(update={"state_period_ms": _STATE_PERIOD_MS})
     clock, ros_time = ProcessClock(), RosTime()
     endpoint = UdpEndpoint(settings, settings.expected_arm(arm), log, clock)
@@ -80,7 +63,8 @@ async def _drive(
     log.write("stopped")
 
 
-async def _simulate(machine: SimulatedMachine, pace: float, log: EventLog, tf: bool) -> None:
+async def simulate(machine: SimulatedMachine, pace: float, log: EventLog, *, tf: bool) -> None:
+    """Drive ``machine``, which is in this process, and publish its /clock, until asked to end."""
     arm, ros_time = machine.settings.arm, RosTime(OFFSET_NS)
     driven = ArmDrive(
         machine.link, LinkArm(machine.link, machine.settings.vision.motion), arm, machine, ros_time
@@ -103,7 +87,8 @@ async def _end_goals() -> None:
         await asyncio.wait(others, timeout=_STOP_S)
 
 
-async def _watch(url: str, log: EventLog) -> None:
+async def watch(url: str, log: EventLog) -> None:
+    """Publish what the live face at ``url`` shows, until asked to end. Raises as ``live_messages``."""
     node = WatchNode(RosTime())
 
     async def shown() -> None:
@@ -156,7 +141,8 @@ def _spin(executor: MultiThreadedExecutor) -> None:
         return
 
 
-def _run(work: Coroutine[Any, Any, None], for_ros: list[str]) -> None:
+def run(work: Coroutine[Any, Any, None], for_ros: list[str]) -> None:
+    """Run ``work`` with ROS there, which is given the arguments ``for_ros``."""
     rclpy.init(args=for_ros, signal_handler_options=SignalHandlerOptions.NO)
     try:
         with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:

@@ -6,7 +6,7 @@ Commissioning writes the file; the controller reads it. Nothing here knows how a
 from collections.abc import Iterator
 from typing import Annotated, NamedTuple, Self
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from foundation.configuration import StrictModel, configuration_hash
 from nominal_arm.description import JOINT_NAMES, NominalArm
@@ -40,6 +40,15 @@ class MeasuredNumber(StrictModel):
         return None
 
 
+def _within(least: float, most: float) -> AfterValidator:
+    def bounded(found: MeasuredNumber) -> MeasuredNumber:
+        if not least <= found.value <= most:
+            raise ValueError(f"{found.value:g} must lie in {least:g}…{most:g}")
+        return found
+
+    return AfterValidator(bounded)
+
+
 _EXACT = 0.005  # of spool
 
 
@@ -51,16 +60,12 @@ class ValveEdge(StrictModel):
     that of the middle of the hysteresis loop: a command that rises opens the edge half the loop later.
     """
 
-    deadband: MeasuredNumber
-    flow_gain: MeasuredNumber
+    deadband: Annotated[MeasuredNumber, _within(0.0, 0.3)]
+    flow_gain: Annotated[MeasuredNumber, _within(0.05, 20.0)]
     curve: tuple[tuple[float, float], ...] = Field(default=(), max_length=CURVE_KNOTS)
 
     @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        if not 0.0 <= self.deadband.value <= 0.3:
-            raise ValueError(f"deadband {self.deadband.value} must lie in 0…0.3")
-        if not 0.05 <= self.flow_gain.value <= 20.0:
-            raise ValueError(f"flow_gain {self.flow_gain.value} must lie in 0.05…20")
+    def _rises(self) -> Self:
         before = (0.0, 0.0)
         for knot in self.curve:
             if not (knot[0] > before[0] and knot[1] > before[1]):
@@ -79,23 +84,10 @@ class JointValve(StrictModel):
 
     raising: ValveEdge
     lowering: ValveEdge
-    hysteresis: MeasuredNumber
-    delay_ms: MeasuredNumber
-    lag_ms: MeasuredNumber
-    full_stroke_ms: MeasuredNumber
-
-    @model_validator(mode="after")
-    def _bounded(self) -> Self:
-        limits = (
-            ("hysteresis", self.hysteresis, 0.3),
-            ("delay_ms", self.delay_ms, 500.0),
-            ("lag_ms", self.lag_ms, 1000.0),
-            ("full_stroke_ms", self.full_stroke_ms, 5000.0),
-        )
-        for name, number, most in limits:
-            if not 0.0 <= number.value <= most:
-                raise ValueError(f"{name} {number.value} must lie in 0…{most:g}")
-        return self
+    hysteresis: Annotated[MeasuredNumber, _within(0.0, 0.3)]
+    delay_ms: Annotated[MeasuredNumber, _within(0.0, 500.0)]
+    lag_ms: Annotated[MeasuredNumber, _within(0.0, 1000.0)]
+    full_stroke_ms: Annotated[MeasuredNumber, _within(0.0, 5000.0)]
 
     @property
     def exact(self) -> bool:

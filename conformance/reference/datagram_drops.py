@@ -5,14 +5,12 @@ from itertools import chain, cycle
 
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
-from conformance.reference.authentication import OTHER_KEY
+from conformance.reference.authentication import OTHER_KEY, signed
 from conformance.reference.datagram_refusals import MAGIC_BIT
 from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used_next
 from conformance.reference.handshake import granted, require_ended
 from conformance.reference.sessions import SLACK_MS, dies_of_silence
-from conformance.wire import MS, SEQUENCES, require, resealed, with_bit_flipped
-from protocol.authentication import DirectionKey
-from protocol.datagram import Header, encode
+from conformance.wire import MS, require, resealed, with_bit_flipped
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, Kind, offsets, size_of
 from protocol.faults import Reason
 from protocol.pose import IDENTITY
@@ -62,9 +60,9 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield (
         "signed otherwise than the session",
         peer,
-        lambda: _signed_heartbeat(peer, None if peer.link_key else OTHER_KEY.of_hello()),
+        lambda: signed(peer, Heartbeat(1), None if peer.link_key else OTHER_KEY.of_hello()),
     )
-    yield "signed with another key", peer, lambda: _signed_heartbeat(peer, OTHER_KEY.of_hello())
+    yield "signed with another key", peer, lambda: signed(peer, Heartbeat(1), OTHER_KEY.of_hello())
     yield "that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]
     yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
     yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
@@ -73,13 +71,6 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "that is HELLO for another arm", peer, lambda: peer.encoded(another_arm, session=0)
     yield "that is HELLO from another port", other, lambda: peer.encoded(hello, session=0)
     yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
-
-
-def _signed_heartbeat(peer: Peer, key: DirectionKey | None) -> bytes:
-    """A heartbeat under any key, or under none."""
-    peer.sequence += 1
-    header = Header(peer.session, peer.sequence % SEQUENCES, peer.now_ns, minor=peer.minor)
-    return encode(Heartbeat(1), header, key)
 
 
 def _flags(data: bytes) -> int:

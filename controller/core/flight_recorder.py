@@ -1,26 +1,10 @@
-"""The last scans, kept for the moment after a fault."""
+"""The flight record: the last scans before a fault, and some after it."""
 
-from collections import deque
 from typing import Any
 
 from controller.core.scan_types import ScanInput, ScanOutput
 
 Scan = tuple[ScanInput, ScanOutput]
-
-
-class FlightRecorder:
-    """A ring of the last ``scans`` scans; it keeps references to immutable images and copies nothing."""
-
-    def __init__(self, scans: int) -> None:
-        self._ring: deque[Scan] = deque(maxlen=scans)
-
-    def record(self, inputs: ScanInput, output: ScanOutput) -> None:
-        """Keep one scan; the oldest falls out when the ring is full."""
-        self._ring.append((inputs, output))
-
-    def kept(self) -> tuple[Scan, ...]:
-        """The scans kept, oldest first; taken in microseconds, so that a scan may ask."""
-        return tuple(self._ring)
 
 
 def plain(scan: Scan) -> dict[str, Any]:

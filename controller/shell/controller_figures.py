@@ -34,7 +34,6 @@ FIGURES = (
         "reference_link_flooded_scans_total",
         "Scans with more than they could read.",
     ),
-    Figure("rss_mb_at_start", "resident_memory_at_start_bytes", "Memory in use when it began to serve.", 1e6),
     Figure("rss_mb", "resident_memory_bytes", "Memory in use.", 1e6),
     Figure("log_lines_dropped", "log_lines_dropped_total", "Lines of the log that stderr did not take."),
     Figure("live_dropped", "live_dropped_total", "Messages for viewers that made room for newer ones."),

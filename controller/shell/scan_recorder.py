@@ -146,7 +146,6 @@ FILE = "controller.mcap"
 STATE, FRAMES, LOG = "/controller/state", "/tf", "/controller/log"
 WORLD, TOOL, COMMANDED = "world", "nominal/tool", "nominal/tool_commanded"
 
-_JOINTS = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
 _SIXES = {"q_meas": "q_meas_{}_rad", "q_cmd": "q_cmd_{}_rad", "valves": "valve_{}"}
 _POSES = ("X_BT", "X_BT_cmd")
 _COUNTS = (
@@ -154,7 +153,7 @@ _COUNTS = (
     "stream_number",
 )  # fmt: skip
 _POSE = ("p_x_m", "p_y_m", "p_z_m", "q_w", "q_x", "q_y", "q_z")
-_PRESSURES = tuple(f"pressure_{joint}_{side}_bar" for joint in _JOINTS for side in "ab")
+_PRESSURES = tuple(f"pressure_{joint}_{side}_bar" for joint in JOINT_NAMES for side in "ab")
 _READ = ("return_bar", "oil_temperature_degc")
 
 
@@ -165,7 +164,7 @@ def _fields() -> Iterator[MessageField]:
     yield MessageField("dt_s")
     yield MessageField("supply_bar")
     for pattern in _SIXES.values():
-        yield from (MessageField(pattern.format(joint)) for joint in _JOINTS)
+        yield from (MessageField(pattern.format(joint)) for joint in JOINT_NAMES)
     for name in _POSES:
         yield from (MessageField(f"{name}_{part}") for part in _POSE)
     yield from map(MessageField, (*_PRESSURES, *_READ))
@@ -180,7 +179,7 @@ def state_bytes(inputs: ScanInput, view: ControllerView) -> bytes:
     values |= {"motion_done": view.motion_done, "reference_link_alive": inputs.reference_link_alive}
     values |= {"dt_s": inputs.dt_s, "supply_bar": view.supply_bar}
     for name, pattern in _SIXES.items():
-        values |= zip(map(pattern.format, _JOINTS), getattr(view, name), strict=True)
+        values |= zip(map(pattern.format, JOINT_NAMES), getattr(view, name), strict=True)
     for name in _POSES:
         pose: Pose = getattr(view, name)
         values |= zip((f"{name}_{part}" for part in _POSE), (*pose.p_m, *pose.q_wxyz), strict=True)

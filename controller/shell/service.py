@@ -5,6 +5,7 @@ import contextlib
 import json
 import secrets
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
-from controller.core.flight_recorder import FlightRecorder, Scan, plain
+from controller.core.flight_recorder import Scan, plain
 from controller.core.plant_watch import PlantRefusal
 from controller.core.requests import is_live
 from controller.core.scan_program import Parts, own_parts
@@ -102,11 +103,10 @@ class ControllerService:
             raise
         self._plant = PlantLink(config.plant_link, log)
         self._task = CyclicTask(cycle_ns, self._cycle, round((1.0 - config.scan_lead) * cycle_ns))
-        self._recorder = FlightRecorder(config.flight_recorder_scans)
+        self._flown: deque[Scan] = deque(maxlen=config.flight_recorder_scans)
         self._valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
         self._images_refused = 0
         self._scan_times = DurationHistogram()
-        self._memory_mb = 0.0
         self._scheduling = "normal"
         self._late_p50_us, self._late_p99_us = 0, 0
         self._percentiles_due_ns = 0
@@ -128,7 +128,6 @@ class ControllerService:
             following.in_vain = self._plant.give_up
             await self._plant.connected()
         self._scheduling = take_fifo(self._config.fifo_priority)
-        self._memory_mb = resident_mb()
         self._say_ready()
         watch = DiskWatch(self._log, self._record_dir)
         beside = asyncio.create_task(watch.keep_looking())
@@ -160,7 +159,7 @@ class ControllerService:
         answers = output.acknowledgements[:-1] if leaving else output.acknowledgements
         shown = to_state(output.view, self._statistics_at(now_ns))
         self._reference.publish(answers, shown, now_ns, output.refusal)
-        self._recorder.record(inputs, output)
+        self._flown.append((inputs, output))
         if self._scans is not None:
             self._scans.scan(inputs, output)
         self._trials.follow()
@@ -219,7 +218,7 @@ class ControllerService:
     def _dump(self, fault: FaultCode) -> None:
         assert self._record_dir is not None
         number = len(self._dumps) + 1
-        job = dump(self._record_dir, fault.name, number, self._recorder.kept(), self._log)
+        job = dump(self._record_dir, fault.name, number, tuple(self._flown), self._log)
         self._dumps.append(asyncio.ensure_future(job))
 
     def _asked_to_stop(self) -> None:
@@ -304,7 +303,6 @@ class ControllerService:
             "reference_link": asdict(self._reference.server.statistics)
             | {"flooded": self._reference.flooded},
             "live_dropped": 0 if self._show is None else self._show.dropped,
-            "rss_mb_at_start": self._memory_mb,
             "rss_mb": resident_mb(),
         }
 

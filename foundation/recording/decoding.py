@@ -2,7 +2,6 @@
 
 import json
 import struct
-import zlib
 from collections.abc import Callable, Container, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -11,10 +10,10 @@ from typing import Any, BinaryIO, NamedTuple
 import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, Header, Message, Metadata, Schema, Statistics
+from mcap.records import Channel, Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from foundation.recording.mcap_file import Format
@@ -96,15 +95,11 @@ def _plain(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 
 
 _HEAD = struct.Struct("<BQ")
-_READERS: dict[int, Callable[[ReadDataStream], Any]] = {
-    Opcode.HEADER: Header.read,
-    Opcode.SCHEMA: Schema.read,
-    Opcode.CHANNEL: Channel.read,
-    Opcode.METADATA: Metadata.read,
-    Opcode.STATISTICS: Statistics.read,
-    Opcode.FOOTER: Footer.read,
-}
-_BROKEN = (McapError, struct.error, ValueError, zstandard.ZstdError, MemoryError)
+_KEPT = {
+    Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS, Opcode.FOOTER,
+    Opcode.MESSAGE, Opcode.CHUNK,
+}  # fmt: skip
+_BROKEN = (McapError, struct.error, ValueError, zstandard.ZstdError, RuntimeError, MemoryError)
 _CHUNK_MAX = 1 << 30  # what a chunk may unpack to
 
 
@@ -141,7 +136,7 @@ def walk(stream: BinaryIO) -> Iterator[Any]:
         if len(content) < length:
             yield Damage(offset, f"cut off: {len(content)} of {length} bytes of a record")
             return
-        yield from _records_in(opcode, content, offset)
+        yield from _records_in(opcode, head, content, offset)
         if opcode == Opcode.FOOTER:
             if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 yield Damage(stream.tell(), "cut off within the last bytes")
@@ -166,46 +161,21 @@ def messages(
                 damages.append(record)
 
 
-def _records_in(opcode: int, content: bytes, offset: int) -> Iterator[Any]:
+def _records_in(opcode: int, head: bytes, content: bytes, offset: int) -> Iterator[Any]:
+    if opcode not in _KEPT:
+        return
     try:
-        if opcode == Opcode.CHUNK:
-            yield from _in_chunk(_unpack(Chunk.read(ReadDataStream(BytesIO(content)))))
-        elif opcode == Opcode.MESSAGE:
-            yield Message.read(ReadDataStream(BytesIO(content)), len(content))
-        elif opcode in _READERS:
-            yield _READERS[opcode](ReadDataStream(BytesIO(content)))
+        record = next(StreamReader(BytesIO(head + content), skip_magic=True, emit_chunks=True).records)
+        yield from _in_chunk(record) if isinstance(record, Chunk) else (record,)
     except _BROKEN as error:
         kind = "chunk" if opcode == Opcode.CHUNK else "record"
         yield Damage(offset, f"damaged {kind}: {error or type(error).__name__}")
 
 
-def _unpack(chunk: Chunk) -> bytes:
-    """What a chunk holds. Raises ValueError when it is not what was written."""
+def _in_chunk(chunk: Chunk) -> list[Any]:
+    """The records of a chunk. Raises one of ``_BROKEN`` when it is not what was written."""
     if chunk.uncompressed_size > _CHUNK_MAX:
         raise ValueError(f"{chunk.uncompressed_size} bytes unpacked, {_CHUNK_MAX} at most")
-    if chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().decompress(chunk.data, chunk.uncompressed_size)
-    elif chunk.compression == "lz4":
-        import lz4.frame  # the library's own extra, for files of others
-
-        data = lz4.frame.decompress(chunk.data)
-    elif chunk.compression == "":
-        data = chunk.data
-    else:
+    if chunk.compression not in ("zstd", "lz4", ""):
         raise ValueError(f"compression {chunk.compression!r} is not known")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError(f"checksum {zlib.crc32(data):#010x}, written as {chunk.uncompressed_crc:#010x}")
-    return bytes(data)
-
-
-def _in_chunk(data: bytes) -> Iterator[Any]:
-    place = 0
-    while place < len(data):
-        opcode, length = _HEAD.unpack_from(data, place)
-        place += _HEAD.size
-        content = data[place : place + length]
-        place += length
-        if opcode == Opcode.MESSAGE:
-            yield Message.read(ReadDataStream(BytesIO(content)), length)
-        elif opcode in _READERS:
-            yield _READERS[opcode](ReadDataStream(BytesIO(content)))
+    return breakup_chunk(chunk, validate_crc=True)

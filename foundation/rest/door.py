@@ -312,7 +312,7 @@ class DoorConnection(asyncio.Protocol):
     async def _relay(self, head: Head, body: bytes, keeps: bool) -> bool:
         """Have the service answer, and hand its answer on; whether the connection is kept."""
         role = self._door.guard.role_of(self._asked(head, None)) or ""
-        async with self._door.slots.slot() as slot:
+        async with self._door.slots.slot() as leave:
             try:
                 reader, writer = await asyncio.open_unix_connection(self._door.service, limit=_PIECE)
             except OSError:
@@ -321,7 +321,7 @@ class DoorConnection(asyncio.Protocol):
             try:
                 writer.write(head.forwarded(body, longreach_role=role))
                 answered = framed(await reader.readuntil(b"\r\n\r\n"), head, keeps)
-                slot.leave()
+                leave()
                 self._transport.write(answered.head)
                 left = answered.length
                 while left != 0 and (data := await reader.read(_PIECE)):

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import resource
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 _AT_THE_SERVICE = 4  # requests that it has not begun to answer
 _ANSWERED_WITHIN_S = 0.25  # who waits longer waits for something else than its processor
@@ -17,29 +17,14 @@ class ServiceSlots:
         self._unanswered = asyncio.Semaphore(_AT_THE_SERVICE)
 
     @contextlib.asynccontextmanager
-    async def slot(self) -> AsyncIterator["ServiceSlot"]:
-        """A place among those that the service has not begun to answer."""
+    async def slot(self) -> AsyncIterator[Callable[[], None]]:
+        """A place among those that the service has not begun to answer; calling it lets another in."""
         await self._unanswered.acquire()
-        slot = ServiceSlot(self._unanswered)
-        try:
-            yield slot
-        finally:
-            slot.leave()
-
-
-class ServiceSlot:
-    """One place."""
-
-    def __init__(self, places: asyncio.Semaphore) -> None:
-        self._places: asyncio.Semaphore | None = places
-        self._late = asyncio.get_running_loop().call_later(_ANSWERED_WITHIN_S, self.leave)
-
-    def leave(self) -> None:
-        """Let another in."""
-        if self._places is not None:
-            self._late.cancel()
-            self._places.release()
-            self._places = None
+        with contextlib.ExitStack() as place:
+            place.callback(self._unanswered.release)
+            late = asyncio.get_running_loop().call_later(_ANSWERED_WITHIN_S, place.close)
+            place.callback(late.cancel)
+            yield place.close
 
 
 def allow_files() -> None:

@@ -84,9 +84,6 @@ class PumpConfig(StrictModel):
         return value
 
 
-LEAST_DEAD_VOLUME_L = 0.02
-
-
 def _cushion_fits(cushion: float, stroke: float, key: str) -> None:
     if 2.0 * cushion > stroke:
         raise ValueError(
@@ -179,16 +176,9 @@ class RotaryConfig(StrictModel):
 
     displacement_m3_rad: Positive
     from_deg: Annotated[float, Field(ge=-360.0, le=0.0)]
-    to_deg: Annotated[float, Field(ge=0.0, le=360.0)]
+    to_deg: Annotated[float, Field(gt=0.0, le=360.0)]
     friction: RotaryFrictionConfig
     end_stop: RotaryStopConfig
-
-    @field_validator("to_deg")
-    @classmethod
-    def _has_range(cls, value: float, info: ValidationInfo) -> float:
-        if value <= info.data.get("from_deg", -1.0):
-            raise ValueError("must be above from_deg: the actuator would have no range")
-        return value
 
     @field_validator("end_stop")
     @classmethod
@@ -198,24 +188,19 @@ class RotaryConfig(StrictModel):
         return value
 
 
+DeadVolume = Annotated[float, Field(ge=0.02, le=100.0)]
+"""Litres: a chamber without oil has no pressure."""
+
+
 class ActuatorConfig(StrictModel):
     """One hydraulic actuator with its valve's size; exactly one of ``cylinder`` and ``rotary``."""
 
     cylinder: CylinderConfig | None = None
     rotary: RotaryConfig | None = None
-    dead_volume_a_l: Annotated[float, Field(le=100.0)]
-    dead_volume_b_l: Annotated[float, Field(le=100.0)]
+    dead_volume_a_l: DeadVolume
+    dead_volume_b_l: DeadVolume
     leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-10)]
     rated_flow_l_min: Annotated[float, Field(gt=0.0, le=1000.0)]
-
-    @field_validator("dead_volume_a_l", "dead_volume_b_l")
-    @classmethod
-    def _holds_oil(cls, value: float) -> float:
-        if value < LEAST_DEAD_VOLUME_L:
-            raise ValueError(
-                f"must be at least {LEAST_DEAD_VOLUME_L:g}: a chamber without oil has no pressure"
-            )
-        return value
 
     @model_validator(mode="after")
     def _one_kind(self) -> "ActuatorConfig":

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, NamedTuple
+from operator import itemgetter
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -37,15 +38,11 @@ from plant_emulator.config.structure import (
 )
 from plant_emulator.config.valves import JOINT_NAMES, JointName, ValvesConfig, without_overridden
 
-
-class StepLimit(NamedTuple):
-    """The longest stable step (s) that a part allows, and the part."""
-
-    step_s: float
-    reason: str
+Rates = Iterator[tuple[float, str]]
+"""How fast (1/s) a part decays at most, and the part; Runge-Kutta bears RUNGE_KUTTA_REACH a step."""
 
 
-def _limits(circuit: Mapping[str, Any]) -> Iterator[StepLimit]:
+def _rates(circuit: Mapping[str, Any]) -> Rates:
     """Open regularised orifices let a chamber decay at β K / (V √δ), bristles relax at σ0 v / F_c."""
     for name, actuator in zip(JOINT_NAMES, circuit["actuators"].in_order(), strict=True):
         yield from _of_actuator(circuit, name, actuator)
@@ -53,49 +50,34 @@ def _limits(circuit: Mapping[str, Any]) -> Iterator[StepLimit]:
     modulus = circuit["oil"].bulk_modulus_mpa * 1e6
     most = pump.flow_limit_l_min * LITRE_PER_MINUTE
     rate = modulus * 2.0 * most / (pump.droop_bar * BAR) / (pump.line_volume_l * LITRE)
-    yield StepLimit(RUNGE_KUTTA_REACH / rate, f"pump.droop_bar = {pump.droop_bar:g}")
+    yield rate, f"pump.droop_bar = {pump.droop_bar:g}"
 
 
-def _of_actuator(
-    circuit: Mapping[str, Any], name: JointName, actuator: ActuatorConfig
-) -> Iterator[StepLimit]:
+def _of_actuator(circuit: Mapping[str, Any], name: JointName, actuator: ActuatorConfig) -> Rates:
     """Edges, check valves, relief, counterbalance, bristles and spool of one actuator."""
     valves: ValvesConfig = circuit["valves"]
     guard, oil, pump = circuit["protection"], circuit["oil"], circuit["pump"]
     soft, modulus = math.sqrt(valves.regularisation_bar * BAR), oil.bulk_modulus_mpa * 1e6
     flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
-    gains = _edge_gains(valves, name, actuator)
+    valve = valves.of(name, actuator.rated_flow_l_min)
+    edges = zip(valve.edge_flows_l_min(), valves.edge_drops_bar(), strict=True)
+    gains = [flow * LITRE_PER_MINUTE / math.sqrt(drop * BAR) for flow, drop in edges]  # m³/s/√Pa, fully open
     check = flow / math.sqrt(ANTICAVITATION_DROP_BAR * BAR)
     for key, supply, back in (("dead_volume_a_l", 0, 3), ("dead_volume_b_l", 2, 1)):
         volume = getattr(actuator, key) * LITRE
         rate = modulus * (max(gains[supply], gains[back]) + check) / (volume * soft)
-        yield StepLimit(RUNGE_KUTTA_REACH / rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}")
-        rate = modulus * flow / (RELIEF_OVERRIDE_BAR * BAR) / volume
-        yield StepLimit(RUNGE_KUTTA_REACH / rate, f"the relief valves of actuators.{name}")
+        yield rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}"
+        yield modulus * flow / (RELIEF_OVERRIDE_BAR * BAR) / volume, f"the relief valves of actuators.{name}"
     hold = valves.counterbalance
     if (name == "lift" and hold.lift) or (name == "tilt" and hold.tilt):
         slope = 2.0 * gains[3] * math.sqrt(guard.relief_bar * BAR) * hold.pilot_ratio / (hold.range_bar * BAR)
         rate = modulus * slope / (actuator.dead_volume_a_l * LITRE)
-        yield StepLimit(
-            RUNGE_KUTTA_REACH / rate, f"valves.counterbalance.range_bar = {hold.range_bar:g} at {name}"
-        )
+        yield rate, f"valves.counterbalance.range_bar = {hold.range_bar:g} at {name}"
         if hold.lag_ms > 0.0:
-            yield StepLimit(RUNGE_KUTTA_REACH * hold.lag_ms * 1e-3, "valves.counterbalance.lag_ms")
+            yield 1e3 / hold.lag_ms, "valves.counterbalance.lag_ms"
     rate = _bristle_rate(actuator, max(gains[1], gains[3]) if valves.compensator_bar else max(gains), pump)
-    yield StepLimit(RUNGE_KUTTA_REACH / max(rate, 1e-9), f"the bristle stiffness of actuators.{name}")
-    bandwidth = valves.of(name, 1.0).bandwidth_hz
-    yield StepLimit(
-        RUNGE_KUTTA_REACH / (2.0 * math.pi * bandwidth), f"valves.bandwidth_hz = {bandwidth:g} of {name}"
-    )
-
-
-def _edge_gains(valves: ValvesConfig, name: JointName, actuator: ActuatorConfig) -> list[float]:
-    """K (m³/s/√Pa) of the four edges, fully open."""
-    flows = valves.of(name, actuator.rated_flow_l_min).edge_flows_l_min()
-    return [
-        flow * LITRE_PER_MINUTE / math.sqrt(drop * BAR)
-        for flow, drop in zip(flows, valves.edge_drops_bar(), strict=True)
-    ]
+    yield rate, f"the bristle stiffness of actuators.{name}"
+    yield 2.0 * math.pi * valve.bandwidth_hz, f"valves.bandwidth_hz = {valve.bandwidth_hz:g} of {name}"
 
 
 def _bristle_rate(actuator: ActuatorConfig, gain: float, pump: PumpConfig) -> float:
@@ -305,7 +287,8 @@ class PlantConfig(StrictModel):
         known = info.data
         if not {"actuators", "valves", "protection", "oil", "pump"} <= known.keys():
             return value  # the fault that hides them is reported instead
-        limit, reason = min(_limits(known))
-        if value > limit * 1e3:
-            raise ValueError(f"must not exceed {limit * 1e3:.3f}: {reason} would make Runge-Kutta diverge")
+        rate, reason = max(_rates(known), key=itemgetter(0))
+        limit = 1e3 * RUNGE_KUTTA_REACH / rate
+        if value > limit:
+            raise ValueError(f"must not exceed {limit:.3f}: {reason} would make Runge-Kutta diverge")
         return value

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.configuration import StrictModel
 from plant_emulator.config.actuators import (
     ANTICAVITATION_DROP_BAR,
     BAR,
@@ -50,26 +51,18 @@ def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
     row[[col.A_AREA_A, col.A_AREA_B]] = actuator.areas()
     if actuator.cylinder is not None:
         c = actuator.cylinder
-        f, stop = c.friction, c.end_stop
-        bore, rod = math.pi / 4.0 * (c.bore_mm * 1e-3) ** 2, math.pi / 4.0 * (c.rod_mm * 1e-3) ** 2
+        friction: StrictModel = c.friction
         row[col.A_KIND : col.A_LENGTH0 + 1] = CYLINDER, c.base_m, c.lever_m, c.angle_rad, c.length_m
-        row[[col.A_AREA_A, col.A_AREA_B, col.A_STROKE]] = bore, bore - rod, c.stroke_m
-        row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = stop.stiffness_n_m, stop.damping_n_s_m
-        row[col.A_CUSHION] = stop.cushion_m
-        row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = f.coulomb_n, f.static_n, f.stribeck_m_s
-        row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = f.bristle_n_m, f.bristle_damping_n_s_m
-        row[col.A_VISCOUS] = f.viscous_n_s_m
-    if actuator.rotary is not None:
-        r = actuator.rotary
-        g, cushion = r.friction, r.end_stop
+        row[col.A_STROKE], row[col.A_CUSHION] = c.stroke_m, c.end_stop.cushion_m
+        row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = c.end_stop.stiffness_n_m, c.end_stop.damping_n_s_m
+    else:
+        assert actuator.rotary is not None  # by its validator
+        r, stop, friction = actuator.rotary, actuator.rotary.end_stop, actuator.rotary.friction
         first, last = math.radians(r.from_deg), math.radians(r.to_deg)
         row[col.A_KIND : col.A_LENGTH0 + 1] = ROTARY, 0.0, 0.0, first, 0.0
-        row[col.A_STROKE] = last - first
-        row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = cushion.stiffness_nm_rad, cushion.damping_nm_s_rad
-        row[col.A_CUSHION] = math.radians(cushion.cushion_deg)
-        row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = g.coulomb_nm, g.static_nm, g.stribeck_rad_s
-        row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = g.bristle_nm_rad, g.bristle_damping_nm_s_rad
-        row[col.A_VISCOUS] = g.viscous_nm_s_rad
+        row[col.A_STROKE], row[col.A_CUSHION] = last - first, math.radians(stop.cushion_deg)
+        row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = stop.stiffness_nm_rad, stop.damping_nm_s_rad
+    row[col.A_COULOMB : col.A_VISCOUS + 1] = [number for _, number in friction]  # in the models' order
 
 
 def _describe_valve(valves: ValvesConfig, valve: Valve, row: Array) -> None:

@@ -58,7 +58,7 @@ def check_step(model: Model, state: Array, step: float, names: Sequence[str] = C
     ``names`` (n,) are those of the chain's coordinates. An arm with more of them than the plain one is looked
     at over the strokes of lift and tilt: its fast motions lie between neighbours and change with the pose.
     """
-    parts = _flank_rates(model, state) | _spring_rates(model, state, names)
+    parts = _flank_rates(model, state)
     for i, name in enumerate(JOINTS):
         parts[f"the end stop of {name} acts"] = _stop_rate(model, state, i)
     whole = dict(_vibration(model, pose, names) for pose in _poses(model, state))
@@ -120,15 +120,6 @@ def _flank_rates(model: Model, state: Array) -> dict[str, float]:
             model, state, at, *tilt[[loose.T_STIFFNESS, loose.T_DAMPING]]
         )
     return rates
-
-
-def _spring_rates(model: Model, state: Array, names: Sequence[str]) -> dict[str, float]:
-    """How fast (1/s) each spring swings by itself; never faster than the arm's fastest motion."""
-    mech, q = model.mechanism, state[model.places.angle]
-    springs = [i for i in range(len(names)) if mech.stiffness[i] > 0.0 and mech.free[i] > 0.0]
-    gives = np.diag(mobility(mech, q, springs, held=False)) if springs else np.zeros(0)
-    rates = np.sqrt(mech.stiffness[springs] * gives)
-    return {f"{names[i]} swings": float(rate) for i, rate in zip(springs, rates, strict=True)}
 
 
 def _rate_of(model: Model, state: Array, at: list[int], stiffness: float, damping: float) -> float:

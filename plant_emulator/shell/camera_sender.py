@@ -181,12 +181,7 @@ class CameraSender:
 
     async def wait_ready(self) -> None:
         """Return when the renderer can render. Raises LinkLost when it ended instead."""
-        waits = [asyncio.ensure_future(event.wait()) for event in (self._ready, self.ended)]
-        try:
-            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for wait in waits:
-                wait.cancel()
+        await self._ready.wait()
         if self.ended.is_set():
             raise LinkLost("link.renderer_ended", f"the renderer ended with status {self._process.wait()}")
 
@@ -245,6 +240,7 @@ class CameraSender:
         if not data:
             asyncio.get_running_loop().remove_reader(self._poses.fileno())
             self.ended.set()
+            self._ready.set()
             self._published.put_nowait(False)
             return
         report = json.loads(data)

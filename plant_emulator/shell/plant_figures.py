@@ -1,7 +1,7 @@
 """What the emulator's statistics are called where Prometheus reads them."""
 
 from foundation.live.wire import Figure, counters
-from plant_emulator.core.coupler.answers import CouplerStatistics
+from plant_emulator.core.coupler.answers import COUNTED
 
 _PROCESSES = {"plant": "", "renderer": "renderer_", "fault_api": "fault_api_"}
 _FRAMES = {
@@ -22,7 +22,7 @@ FIGURES = (
     Figure("integrator.periods_missed", "steps_missed_total", "Steps in which simulated time stood still."),
     Figure("integrator.late_max_us", "step_lateness_max_seconds", "The latest step.", 1e-6),
     Figure("simulated_s", "simulated_seconds_total", "Simulated time."),
-    *counters("coupler", "coupler", vars(CouplerStatistics()), "Of the bus coupler: {}."),
+    *counters("coupler", "coupler", COUNTED, "Of the bus coupler: {}."),
     *(Figure(f"camera.{key}", f"camera_{key}_total", text) for key, text in _FRAMES.items()),
     Figure("camera.clients", "camera_clients", "Clients of the camera stream."),
     Figure(
@@ -37,12 +37,8 @@ FIGURES = (
     Figure("truth_records", "recording_messages_total", "Messages in the recording."),
     Figure("truths_dropped", "recording_dropped_total", "Messages that the disk left no room for."),
     *(
-        Figure(f"memory_at_{when}.{of}_rss_mb", f"{prefix}resident_memory{suffix}_bytes", text, 1e6)
+        Figure(f"memory.{of}_rss_mb", f"{prefix}resident_memory_bytes", f"Memory in use by {of}.", 1e6)
         for of, prefix in _PROCESSES.items()
-        for when, suffix, text in (
-            ("start", "_at_start", f"Memory in use by {of} when it began to serve."),
-            ("end", "", f"Memory in use by {of}."),
-        )
     ),
     Figure("oil_temperature_degc", "true_oil_temperature_celsius", "Truth: the oil."),
     Figure("supply_pa", "true_supply_pressure_pascals", "Truth: the supply, absolute."),

@@ -76,7 +76,6 @@ class PlantService:
         self._show: LiveFeed | None = None
         self._camera: CameraSender | None = None
         self._scheduling = "normal"
-        self._memory_at_start: dict[str, float] = {}
         self._memory_at_end: dict[str, float] = {}
 
     async def run(self) -> int:
@@ -131,7 +130,6 @@ class PlantService:
     ) -> bool:
         """Serve; return whether the renderer ended by itself before ``stop``."""
         self._scheduling = take_fifo(self._config.service.fifo_priority)
-        self._memory_at_start = self._memory()
         self._say_ready(addresses)
         watch = DiskWatch(self._log, self._record_dir)
         beside = asyncio.create_task(watch.keep_looking())
@@ -276,14 +274,13 @@ class PlantService:
             "period_ms": self._config.service.period_ms,
             "integrator": self._integrator.as_dict(),
             "simulated_s": self._plant.time_ns / 1e9,
-            "coupler": self._coupler.statistics.as_dict(),
+            "coupler": dict(vars(self._coupler.statistics)),
             "camera": self._camera.statistics | camera,
             "truth_records": 0 if self._recorder is None else self._recorder.sink.written,
             "truths_dropped": 0 if self._recorder is None else self._recorder.sink.dropped,
             "live_dropped": 0 if self._show is None else self._show.dropped,
             "scheduling": self._scheduling,
-            "memory_at_start": self._memory_at_start,
-            "memory_at_end": self._memory_at_end or self._memory(),
+            "memory": self._memory_at_end or self._memory(),
         }
 
     async def _shut_down(self) -> None:

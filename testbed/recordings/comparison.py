@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 from foundation.recording.decoding import Values, decoder
@@ -10,7 +11,6 @@ from foundation.recording.messages import format_of
 from vision_pc.shell.recording import vision_messages as own
 
 ALIKE = 1e-9  # of other versions or another processor: m, rad, px
-_DECODERS: dict[str, Callable[[bytes], Values]] = {}
 
 
 class Difference(NamedTuple):
@@ -84,14 +84,15 @@ class ReplayComparison:
         return False
 
 
+@cache
+def _decoder(kind: Any) -> Callable[[bytes], Values] | None:
+    return decoder(format_of(kind))
+
+
 def _flat(message: Any) -> Values:
-    kind = type(message)
-    name = kind.DESCRIPTOR.full_name
-    if name not in _DECODERS:
-        made = decoder(format_of(kind))
-        assert made is not None
-        _DECODERS[name] = made
-    return _DECODERS[name](message.SerializeToString())
+    made = _decoder(message.__class__)
+    assert made is not None
+    return made(message.SerializeToString())
 
 
 def _apart(before: Any, now: Any) -> float:

@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,6 @@ class RecordedStamp(NamedTuple):
     height: int
     crc_left: int
     crc_right: int
-
-
-class Pixels(Protocol):
-    """Where a frame's pictures come from."""
-
-    def of(self, stamp: RecordedStamp) -> Eyes | None:
-        """Both eyes' pictures; None where there are none of this frame."""
-        ...
 
 
 class KeptPixels:
@@ -95,6 +87,10 @@ class RenderedPixels:
             self._camera = StereoCamera(self._config.camera, Scene(self._config), self._config.seed)
         left, right = self._camera.take(shot)
         return left, right
+
+
+Pixels = KeptPixels | RenderedPixels
+"""Where a frame's pictures come from."""
 
 
 def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...]:

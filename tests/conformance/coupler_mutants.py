@@ -105,7 +105,7 @@ ROWS: tuple[tuple[Any, ...], ...] = (
     ("served after expiry", 683, (W, "        if self.expired:\n            return WATCHDOG_EXPIRED\n        return OWNED", "        if self.expired and writes:\n            return WATCHDOG_EXPIRED\n        return OWNED")),
     ("own registers are refused after expiry", 683, (A, "        if code == 0 and terminals:", "        if code == 0 and self._watchdog.expired and request.writes is None and request.function != 8:\n            code = 4\n        if code == 0 and terminals:")),
     ("ended by a closed connection", 683, (W, "        if self._owner is master:\n            self._owner = None\n        if self._resetting", "        self.expired = False\n        if self._owner is master:\n            self._owner = None\n        if self._resetting")),
-    ("ended by clearing the counters", 683, (A, "                self._counted_from = self", "                self._watchdog.expired = False\n                self._counted_from = self")),
+    ("ended by clearing the counters", 683, (A, "                self._counted_from = dict", "                self._watchdog.expired = False\n                self._counted_from = dict")),
     ("keeps its outputs at expiry", 686, (A, "        self._image.clear_outputs()\n", "")),
     ("keeps its digital outputs at expiry", 686, (I, "        self._outputs = [0] * OUTPUT_IMAGE_WORDS\n\n    def words", "        self._outputs = [0] * OUTPUT_WORDS + self._outputs[OUTPUT_WORDS:]\n\n    def words")),
     ("a reset zeroes the time", 687, (W, RESETS, RESETS + "\n            self.time_ms = 1000")),

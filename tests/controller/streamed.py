@@ -59,7 +59,3 @@ def turns(bench: Bench) -> Array:
     q = np.array([output.view.X_BT_cmd.q_wxyz for output in bench.outputs])
     steps = [vector_from_quaternion(quaternion_product(b, conjugate(a))) for a, b in pairwise(q)]
     return np.array(steps) / CYCLE_S
-
-
-def moved(pose: Pose, y: float) -> Pose:
-    return pose._replace(p_m=(pose.p_m[0], pose.p_m[1] + y, pose.p_m[2]))

@@ -132,21 +132,6 @@ def test_a_circle_of_waypoints_is_tracked(settings: ScanSettings) -> None:
     assert max(lag) < 30.0
 
 
-def test_stop_in_full_motion_stays_on_the_path_and_holds(settings: ScanSettings) -> None:
-    loop = _loop(settings, 80.0)
-    here = loop.view.X_BT
-    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.5), here.q_wxyz)
-    assert loop.refer(lambda i: ReferencePose(i, goal, 0.0)) is Reason.ACCEPTED
-    loop.run(1.8)
-    assert loop.command(CommandCode.STOP) is Reason.ACCEPTED
-    loop.run(2.0)
-    assert loop.view.group_state is GroupState.STANDBY
-    height = loop.view.X_BT_cmd.p_m[2]
-    assert here.p_m[2] + 0.05 < height < goal.p_m[2] - 0.05
-    loop.run(3.0)
-    assert loop.view.X_BT.p_m == pytest.approx(loop.view.X_BT_cmd.p_m, abs=4e-3)
-
-
 def test_emergency_stop_in_motion_closes_every_valve_within_a_cycle(settings: ScanSettings) -> None:
     loop = _loop(settings, 100.0)
     here = loop.view.X_BT

@@ -99,8 +99,8 @@ def test_a_fault_in_the_named_file_is_told_with_that_file(
         ),
         (
             {"tuning": {"gain_1_s": [2.0, 3.0, 4.0, 10.0, 10.0, 60.0]}},
-            "configuration.value_error",
-            "above 50",
+            "configuration.less_than_equal",
+            "less than or equal to 50",
         ),
     ],
 )

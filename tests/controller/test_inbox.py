@@ -1,7 +1,5 @@
 """What the scan gets of what the client asked for: stops first, the rest bounded."""
 
-import math
-from collections import Counter
 from collections.abc import Sequence
 
 import pytest
@@ -11,25 +9,18 @@ from hypothesis import strategies as st
 from controller.core.arrivals import A_CYCLE, Arrivals, stop_of
 from controller.core.arrivals import WAITING as MOST_ARRIVALS
 from controller.core.inbox import WAITING, Inbox
-from protocol.client_session import ReferenceClient
-from protocol.datagram import Header, decode, encode
-from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.datagram import Header, encode
+from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
-from protocol.process_image import CONTROL_ENABLE
 from protocol.reference_messages import (
-    FLAG_EMERGENCY_LATCHED,
     STOPS,
-    Acknowledgement,
     Command,
     ReferencePath,
     ReferencePose,
     Request,
     StreamedPose,
 )
-from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived, SessionClosed, StreamedPoseReceived
-from tests.conformance.controllers import settings
-from tests.controller.obedient_plant import Bench
 
 SESSION = 77
 CODES = [*CommandCode]
@@ -94,15 +85,6 @@ def test_of_streamed_references_the_newest_by_number_is_judged(
     assert inbox.take_streamed() is None
 
 
-def test_a_bad_reference_overtakes_a_good_one() -> None:
-    nan = IDENTITY._replace(p_m=(math.nan, 0.0, 0.0))
-    inbox = Inbox()
-    references = [ReferencePose(5, IDENTITY, 0.0), ReferencePose(6, nan, 0.0)]
-    refused = inbox.put([RequestReceived(each) for each in references])
-    assert refused == [Acknowledgement(5, Reason.OVERTAKEN, 5.0, 6.0)]
-    assert ids(inbox.take(True)[0]) == [6]
-
-
 def test_stops_of_a_session_that_ended_are_obeyed_and_nothing_else_of_it() -> None:
     inbox = Inbox()
     asked = received([CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE])
@@ -162,45 +144,3 @@ def test_a_repetition_does_not_push_out_the_newer_stop_before_it() -> None:
         code = CommandCode.STOP if command_id in (3, 40) else CommandCode.ENABLE
         arrivals.put(encode(Command(command_id, code), Header(SESSION, 1, 0)), command_id, SESSION)
     assert [command_id for _, command_id in arrivals.take(A_CYCLE)] == [40]
-
-
-@pytest.mark.slow("50,000 requests are encoded")
-@pytest.mark.parametrize("whole", [False, True], ids=["in slices, moving", "all at once, stopping"])
-def test_an_emergency_stop_behind_50_000_requests_centres_the_valves_within_three_scans(whole: bool) -> None:
-    bench = Bench(settings()).moving()
-    if whole:
-        assert bench.command(CommandCode.STOP) is Reason.ACCEPTED
-        assert bench.last.view.group_state is GroupState.STOPPING
-    assert max(map(abs, bench.last.valves.valves)) > 0.0
-    server, client = ReferenceServer(1, 2, 5_000_000, 500), ReferenceClient(5)
-    client.connect(0)
-    server.receive(client.outgoing(0)[0], "peer", 0)
-    for data, _ in server.outgoing(0):
-        client.receive(data, 0)
-    client.tick(0)
-    server.receive_batch([(data, "peer") for data in client.outgoing(0)], 0)  # the session begins
-    for _ in range(50_000):
-        client.submit(Command(0, CommandCode.RESET), 0)
-    emergency = client.submit(Command(0, CommandCode.EMERGENCY_STOP), 0)
-    arrivals, inbox, answers = Arrivals(), Inbox(), Counter[int]()
-    waiting = [(data, "peer") for data in client.outgoing(0)]
-    for data, source in [] if whole else waiting:
-        arrivals.put(data, source, server.session)
-    for _ in range(3):
-        events = server.receive_batch(waiting if whole else arrivals.take(A_CYCLE), 0)
-        for answer in inbox.put(events):
-            server.acknowledge(answer, 0)
-        requests, bench.link_alive = inbox.take(True)
-        for answer in bench.step(*requests).acknowledgements:
-            server.acknowledge(answer, 0)
-        sent = [decode(data).message for data, _ in server.outgoing(0)]
-        answers.update(message.command_id for message in sent if isinstance(message, Acknowledgement))
-        waiting = []
-    assert bench.last.view.flags & FLAG_EMERGENCY_LATCHED
-    assert bench.last.valves.valves == (0.0,) * 6
-    assert not bench.last.valves.control & CONTROL_ENABLE
-    assert bench.last.view.fault is FaultCode.EMERGENCY_STOP
-    assert answers[emergency] == 1
-    if whole:  # nothing was left out: every one is answered, once
-        assert len(answers) == 50_001
-        assert set(answers.values()) == {1}

@@ -70,15 +70,6 @@ def test_faults_centre_the_valves_in_the_same_scan(
     assert any(event.name == "fault" and event.cause == fault.name for event in bench.last.events)
 
 
-def test_silence_is_measured_in_time_as_well_as_in_exchanges(settings: ScanSettings) -> None:
-    bench = Bench(settings).enabled()
-    bench.silent = True
-    bench.late_s = 0.06
-    bench.step()
-    bench.late_s = 0.06
-    assert bench.step().view.fault is FaultCode.PLANT_LINK_LOST
-
-
 def test_a_few_missed_exchanges_are_survived_and_counted(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     for _ in range(3):
@@ -90,61 +81,6 @@ def test_a_few_missed_exchanges_are_survived_and_counted(settings: ScanSettings)
     assert bench.last.view.plant_exchange_failures == 12
     bench.run(6.0)
     assert bench.last.view.motion_done
-
-
-def test_a_stale_reference_link_ramps_down_then_drops_the_enable(settings: ScanSettings) -> None:
-    bench = Bench(settings).moving()
-    bench.link_alive = False
-    first = bench.step()
-    assert first.view.fault is FaultCode.REFERENCE_LINK_LOST
-    assert first.view.severity is Severity.STOP
-    assert first.view.group_state is GroupState.ERROR_STOP
-    assert first.valves.control & CONTROL_ENABLE  # the ramp is driven
-    assert any(first.valves.valves)
-    speeds = []
-    while bench.state.mode is Mode.ERROR_RAMP:
-        bench.step()
-        speeds.append(float(abs(bench.state.motion.desired.v).max()))
-    assert len(speeds) * settings.cycle_s < 1.5
-    assert speeds[-1] == 0.0
-    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
-    assert not bench.last.view.motion_done
-    bench.link_alive = True
-    bench.run(0.5)
-    assert bench.last.valves.control == 0  # nothing resumes by itself
-    assert bench.command(CommandCode.RESET) is Reason.ACCEPTED
-    assert bench.command(CommandCode.ENABLE) is Reason.ACCEPTED
-    bench.run(0.5)
-    assert bench.last.view.group_state is GroupState.STANDBY
-
-
-def test_an_unattended_standby_is_disabled_without_a_fault(settings: ScanSettings) -> None:
-    bench = Bench(settings).enabled()
-    bench.link_alive = False
-    bench.step()
-    assert "unattended" in [event.name for event in bench.last.events]
-    assert bench.last.view.group_state is GroupState.DISABLED
-    assert bench.last.view.fault is FaultCode.NONE
-    bench.link_alive = True
-    bench.run(0.2)
-    assert bench.last.valves.control == 0
-
-
-@pytest.mark.parametrize("asked", [CommandCode.STOP, CommandCode.DISABLE])
-def test_a_session_that_ends_while_the_arm_stops_ends_in_disabled_without_a_fault(
-    settings: ScanSettings, asked: CommandCode
-) -> None:
-    bench = Bench(settings).moving()
-    assert bench.command(asked) is Reason.ACCEPTED
-    bench.link_alive = False
-    bench.step()
-    bench.link_alive = True  # the next session has begun
-    assert bench.last.view.group_state is GroupState.STOPPING
-    assert any(bench.last.valves.valves)  # the ramp is driven
-    bench.run(1.5)
-    assert bench.last.view.group_state is GroupState.DISABLED
-    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
-    assert bench.last.view.fault is FaultCode.NONE
 
 
 def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: ScanSettings) -> None:
@@ -270,34 +206,3 @@ def test_at_a_shorter_cycle_an_outage_may_last_as_long(quick: ScanSettings) -> N
     assert bench.last.view.fault is FaultCode.NONE
     bench.run(0.01)
     assert bench.last.view.fault is FaultCode.PLANT_LINK_LOST
-
-
-@pytest.mark.parametrize(
-    ("spoiled", "fault", "within_s"),
-    [("deaf", FaultCode.PLANT_LINK_LOST, 0.06), ("frozen", FaultCode.PLANT_CYCLE_FROZEN, 0.11)],
-)
-def test_at_a_shorter_cycle_a_plant_that_stands_is_found_as_soon(
-    quick: ScanSettings, spoiled: str, fault: FaultCode, within_s: float
-) -> None:
-    bench = Bench(quick).moving()
-    setattr(bench, spoiled, True)
-    assert 0.8 * within_s <= _until_fault(bench, 1.0) <= within_s
-    assert bench.last.view.fault is fault
-
-
-def test_at_a_shorter_cycle_the_arm_moves_streams_and_stops_as_ever(quick: ScanSettings) -> None:
-    bench = Bench(quick).moving()
-    bench.run(6.0)
-    assert bench.last.view.motion_done
-    assert bench.last.view.fault is FaultCode.NONE
-    bench.open_stream()
-    goal = bench.shifted(z=-0.05)
-    for number in range(1, 200):
-        assert bench.stream(number, goal) is None
-    silent = 0
-    while bench.last.view.fault is FaultCode.NONE:
-        bench.step()
-        silent += 1
-    assert bench.last.view.fault is FaultCode.REFERENCE_STALE
-    # The plant has the centred valves with the next exchange, within streaming.silence_ms = 100.
-    assert 90 <= silent <= 98

@@ -19,14 +19,6 @@ def test_case_28_an_encoder_stuck_with_its_valve_open_is_found_before_the_joint_
     assert abs(rig.registers.plant.truth().q[0] - q_before) < np.radians(3.0)
 
 
-def test_case_28_without_that_watch_it_is_a_following_error() -> None:
-    rig = FaultRig("controller.supervision.encoder_stuck_ms=10000").moving()
-    began_ns = rig.now_ns
-    rig.registers.plant.inject(EncoderStuck(joint="slew", reported=False))
-    rig.run(2.5)
-    rig.assert_safe(FaultCode.FOLLOWING_ERROR, began_ns, 1.5)
-
-
 def test_case_28_an_encoder_that_the_plant_itself_reports_stops_the_arm_in_the_next_scan() -> None:
     rig = FaultRig().moving()
     began_ns = rig.now_ns
@@ -40,14 +32,6 @@ def test_case_29_an_encoder_that_jumps_stops_the_arm_in_the_next_scan(degrees: f
     rig = FaultRig().moving()
     began_ns = rig.now_ns
     rig.registers.plant.inject(EncoderJump(joint="lift", angle_mrad=1e3 * np.radians(degrees)))
-    rig.run(1.0)
-    rig.assert_safe(FaultCode.ENCODER_JUMP, began_ns, 0.011)
-
-
-def test_case_29_a_jump_while_holding_does_not_move_the_arm() -> None:
-    rig = FaultRig().enabled()
-    began_ns = rig.now_ns
-    rig.registers.plant.inject(EncoderJump(joint="lift", angle_mrad=1e3 * np.radians(2.0)))
     rig.run(1.0)
     rig.assert_safe(FaultCode.ENCODER_JUMP, began_ns, 0.011)
 

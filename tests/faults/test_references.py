@@ -4,16 +4,12 @@ import math
 from collections.abc import Callable
 from functools import cache
 
-import numpy as np
 import pytest
 
-from conformance.wire import resealed
-from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import GroupState, Reason
 from protocol.pose import Pose
 from protocol.process_image import ValveImage
 from protocol.reference_messages import Acknowledgement, ReferencePath, ReferencePose
-from tests.faults.registers import assert_driving
 from tests.faults.rig import FaultRig
 
 DENORMAL = 5e-324
@@ -60,18 +56,6 @@ def test_case_12_nan_inf_and_denormals_are_refused_and_the_arm_holds(number: flo
     assert images == left_alone(False)[: len(images)]
 
 
-@pytest.mark.parametrize("number", [math.nan, DENORMAL])
-def test_case_12_within_a_motion_they_do_not_disturb_it(number: float) -> None:
-    assert refused(at(1, number), moving=True).reason is Reason.NOT_FINITE
-
-
-@pytest.mark.parametrize("odd_s", [math.nan, math.inf, DENORMAL, -1e-310])
-def test_case_12_so_are_times_that_are_none(odd_s: float) -> None:
-    moving = refused(lambda rig: ReferencePose(0, rig.shifted(z=0.05), odd_s))
-    dwelling = refused(lambda rig: ReferencePath(0, (rig.shifted(z=0.05),), 0.0, odd_s))
-    assert moving.reason is dwelling.reason is Reason.NOT_FINITE
-
-
 def scaled(factor: float) -> Meant:
     """A pose whose quaternion has this norm."""
 
@@ -90,46 +74,21 @@ def test_case_13_a_quaternion_off_its_norm_by_more_than_a_thousandth_is_refused(
     assert answer.value == pytest.approx(norm)
 
 
-@pytest.mark.parametrize("norm", [1.0 + 0.9e-3, 1.0 - 0.9e-3, -1.0])
-def test_case_13_within_that_it_is_normalised_and_moves_as_the_exact_one(norm: float) -> None:
-    exact, off = FaultRig().enabled(), FaultRig().enabled()
-    for rig, make in ((exact, scaled(1.0)), (off, scaled(norm))):
-        assert rig.ask(make(rig)).reason is Reason.ACCEPTED
-        rig.run(1.0)
-    pairs = zip(exact.registers.written, off.registers.written, strict=True)
-    assert max(np.abs(np.subtract(a.image.valves, b.image.valves)).max() for a, b in pairs) < 1e-4
-    assert_driving(off.registers, 0)
-
-
 def bent(how: str) -> Callable[[list[bytes]], list[bytes]]:
-    """A wire that sends a spoilt copy ahead of every datagram; its own sum is right, except for bad_crc."""
+    """A wire that sends a spoilt copy ahead of every datagram."""
 
     def spoilt(data: bytes) -> bytes:
-        if how == "truncated":
-            return data[: len(data) // 2]
-        if how == "shorter than a header":
-            return data[: HEADER_BYTES - 1]
-        if how == "oversized":
-            return data + bytes(2000)
-        if how == "bad crc":
-            return data[:-1] + bytes([data[-1] ^ 1])
-        if how == "wrong major":
-            return resealed(data[:4] + b"\x02" + data[5:])
-        if how == "unknown critical flag":
-            return resealed(data[:9] + b"\x80" + data[10:])
-        return resealed(b"XRLK" + data[4:])
+        return data[: len(data) // 2] if how == "truncated" else data[:-1] + bytes([data[-1] ^ 1])
 
     return lambda datagrams: [copy for data in datagrams for copy in (spoilt(data), data)]
 
 
-@pytest.mark.parametrize("how", ["truncated", "shorter than a header", "oversized"])
-def test_case_14_truncated_and_oversized_datagrams_are_dropped_and_counted(how: str) -> None:
-    judge_bent(how)
+def test_case_14_truncated_datagrams_are_dropped_and_counted() -> None:
+    judge_bent("truncated")
 
 
-@pytest.mark.parametrize("how", ["bad crc", "wrong major", "unknown critical flag", "other magic"])
-def test_case_15_datagrams_of_a_wrong_version_or_sum_are_dropped_and_counted(how: str) -> None:
-    judge_bent(how)
+def test_case_15_datagrams_of_a_wrong_sum_are_dropped_and_counted() -> None:
+    judge_bent("bad crc")
 
 
 def judge_bent(how: str) -> None:

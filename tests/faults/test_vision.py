@@ -14,7 +14,7 @@ import pytest
 
 from foundation.rest.guard import ANYBODY_HERE
 from foundation.rest.server import RestServer, door, service_socket
-from plant_emulator.core.faults.kinds import MarkerCovered, ObjectMoves
+from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
 from testbed.lockstep.clock import RunLog
@@ -91,27 +91,6 @@ def test_case_32_a_marker_of_the_wrong_id_or_size_is_refused(
 ) -> None:
     rig, registers = lockstep("vision.look.frames=3", assignment)
     assert fails_without_motion(rig, registers, "orientation-adjustment").cause in causes
-
-
-@pytest.mark.slow("three legs in lockstep")
-def test_an_object_that_moves_is_refused_with_its_speed_while_the_legs_are_driven() -> None:
-    rig = LockstepRig(
-        settings_of(1, ("controller.settled.time_ms=200",)),
-        1,
-        RunLog(),
-        lambda world: simulated_sight(world, load_eye_model(CONFIGS), 1),
-    )
-    rig.command("enable")
-    rig.world.plant.inject(ObjectMoves(speed_mm_s=-1.0, axis="y"))
-    speed = r"moves by (0\.9\d|1\.0\d) mm/s"
-    with (
-        bars(quiet=True) as shown,
-        shown.step("legs") as bar,
-        pytest.raises(MeasurementFailed, match=speed) as refused,
-    ):
-        rig.operate("local-track", {}, bar)
-    assert refused.value.cause == "target.moves"
-    assert rig.application.track is None
 
 
 @pytest.mark.slow("a whole trajectory in lockstep")
@@ -280,23 +259,3 @@ async def test_case_40_on_a_full_disk_no_motion_begins_and_the_alarm_is_seen(tmp
         assert not rig.machine.motions
         assert np.linalg.norm(rig.tool() - before) < HELD_M
         assert (await rig.post("/stop")).status_code == 200
-
-
-@pytest.mark.slow("motions in real time")
-@pytest.mark.realtime
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
-async def test_case_40_a_running_motion_ends_when_the_disk_fills_up(tmp_path: Path) -> None:
-    async with live(record_dir=tmp_path) as rig:
-        before = rig.tool()
-        started = await rig.post("/operations/move", MOVE)
-        await until(lambda: rig.machine.motions)
-        assert rig.log._file is not None
-        rig.log._file.close()
-        rig.log._file = open("/dev/full", "w", buffering=1)  # noqa: SIM115, ASYNC230 - the log closes it
-        rig.log.write("something")
-        ended = await rig.ended(started.headers["Location"])
-        assert ended["state"] == "succeeded", ended["problem"]
-        assert rig.tool()[1] - before[1] == pytest.approx(0.05, abs=0.008)
-        again = await rig.post("/operations/move", MOVE)
-        assert again.json()["cause"] == "refused.recording_failed"
-        assert (await rig.client.get("/health")).status_code == 503

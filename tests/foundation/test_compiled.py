@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from foundation.compiled import KEYS_KEPT, OUR_PACKAGES, sources, sources_key
+from foundation.compiled import KEYS_KEPT, OUR_PACKAGES, sources
 
 pytestmark = pytest.mark.slow("new interpreters compile kernels")
 
@@ -154,14 +154,6 @@ def test_relative_imports_and_packages_are_followed(tmp_path: Path) -> None:
     found = sources(tmp_path / "made" / "room" / "kernels.py")
     rooms = {"made.room", "made.room.below", "made.room.kernels"}
     assert set(found) == {"made", "made.base", "made.far", "made.other"} | rooms
-
-
-def test_the_key_of_a_module_of_ours_covers_what_it_imports() -> None:
-    path = ROOT / "controller" / "core" / "trajectories" / "path_survey.py"
-    found = sources(path)
-    assert {"controller.core.kinematics.rotations", "foundation.compiled", "protocol.faults"} <= set(found)
-    assert not any(name.startswith(("numpy", "plant_emulator", "vision_pc")) for name in found)
-    assert sources_key(path) != sources_key(ROOT / "controller" / "core" / "kinematics" / "rotations.py")
 
 
 def test_our_packages_are_those_that_are_installed() -> None:

@@ -10,16 +10,6 @@ from foundation.event_log import LATEST_NS, SOONEST_NS, RepeatedLines
 MS = 1_000_000
 
 
-def test_the_first_of_a_kind_is_written_at_once_and_the_next_is_not() -> None:
-    lines: RepeatedLines[str] = RepeatedLines()
-    assert lines.put("timeout", "one", 0) == 1
-    assert lines.put("timeout", "two", 5 * MS) == 0
-    assert lines.put("refused", "another kind", 6 * MS) == 1
-    assert lines.due(SOONEST_NS - 1) == []
-    assert lines.due(SOONEST_NS) == [("two", 1)]
-    assert lines.due(10 * SOONEST_NS) == []
-
-
 def test_a_kind_that_was_quiet_for_a_second_begins_anew() -> None:
     lines: RepeatedLines[str] = RepeatedLines()
     lines.put("timeout", "one", 0)

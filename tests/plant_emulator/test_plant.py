@@ -6,12 +6,11 @@ import pytest
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
-from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
 from plant_emulator.core.right_hand_side import new_work, right_hand_side
 from plant_emulator.core.truth import inverse, tool_error
-from protocol.errors import ConfigurationError, ImageRefused, RequestRefused
+from protocol.errors import ConfigurationError, ImageRefused
 from protocol.process_image import (
     CONTROL_ENABLE,
     CONTROL_RESET_WATCHDOG,
@@ -22,7 +21,7 @@ from protocol.process_image import (
     ValveImage,
 )
 from tests.plant_emulator.known_answers.stand import Stand, default_config
-from tests.plant_emulator.plant_world import CONFIGS, CYCLE_NS, SHUT, Driver, plant_config
+from tests.plant_emulator.plant_world import CONFIGS, CYCLE_NS, Driver, plant_config
 
 LIFT_UP = (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)
 
@@ -152,14 +151,6 @@ def test_watchdog_waits_for_a_first_controller(plant: Plant) -> None:
     assert plant.read().status == STATUS_SUPPLY_ON
 
 
-def test_images_carry_both_cycle_counters(plant: Plant) -> None:
-    before = plant.read().plant_cycle
-    plant.write(ValveImage(77, 0, SHUT))
-    plant.advance(CYCLE_NS)
-    assert plant.read().echo_cycle == 77
-    assert plant.read().plant_cycle == before + 1
-
-
 def test_non_finite_valves_are_refused(plant: Plant) -> None:
     with pytest.raises(ImageRefused, match="finite"):
         plant.write(ValveImage(1, CONTROL_ENABLE, (0.0, float("nan"), 0.0, 0.0, 0.0, 0.0)))
@@ -186,38 +177,12 @@ def test_splitting_an_advance_in_which_the_watchdog_may_trip_changes_nothing(ms:
     np.testing.assert_array_equal(one._state, many._state)
 
 
-def test_payload_changes_while_running(plant: Plant) -> None:
-    driver = Driver(plant)
-    driver.run(0.5)
-    before = plant.truth()
-    plant.set_payload(100.0)
-    driver.run(0.5)
-    after = plant.truth()
-    assert after.payload_kg == 100.0
-    assert after.X_WT[2, 3] - before.X_WT[2, 3] < -10e-3
-    assert after.deflections[2] - before.deflections[2] < -2e-3  # unseen by any encoder
-    with pytest.raises(RequestRefused):
-        plant.set_payload(-1.0)
-
-
 def test_end_stops_hold_the_arm(plant: Plant) -> None:
     driver = Driver(plant)
     driver.run(4.0, (0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
     assert np.degrees(plant.truth().q[1]) == pytest.approx(104.7, abs=1.5)
     driver.run(1.0)
     assert np.abs(plant.truth().q_rate).max() < 0.05
-
-
-def test_counterbalance_valves_hold_the_load_when_the_supply_is_lost() -> None:
-    sink = {}
-    for fitted in (False, True):
-        guard = {"counterbalance": {"lift": fitted, "tilt": fitted}}
-        plant = Plant(plant_config(valves=guard, payload={"mass_kg": 150.0}), seed=1)
-        plant.inject(SupplyLost())
-        Driver(plant).run(1.0, (0.0, 0.5, 0.0, 0.0, 0.0, 0.0))
-        sink[fitted] = float(plant.truth().q[1] - np.radians(50.0))
-    assert sink[False] < -0.05
-    assert abs(sink[True]) < abs(sink[False])
 
 
 def test_overloaded_start_pose_is_refused() -> None:

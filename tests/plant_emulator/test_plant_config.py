@@ -14,7 +14,7 @@ from tests.plant_emulator.plant_world import CONFIGS, assert_refused, plant_conf
     [
         (
             {"actuators": {"lift": {"dead_volume_a_l": -1.0}}},
-            ["actuators.lift.dead_volume_a_l", "-1.0", "0.02", "no pressure"],
+            ["actuators.lift.dead_volume_a_l", "-1.0", "0.02"],
         ),
         (
             {"actuators": {"lift": {"cylinder": {"stroke_m": 0.56}}}},
@@ -32,7 +32,10 @@ from tests.plant_emulator.plant_world import CONFIGS, assert_refused, plant_conf
             {"actuators": {"lift": {"cylinder": {"friction": {"static_n": 100.0}}}}},
             ["static_n", "100.0", "4000", "holds most at rest"],
         ),
-        ({"actuators": {"slew": {"rotary": {"to_deg": 0.0, "from_deg": 0.0}}}}, ["to_deg", "above from_deg"]),
+        (
+            {"actuators": {"slew": {"rotary": {"to_deg": 0.0, "from_deg": 0.0}}}},
+            ["rotary.to_deg", "0.0", "greater than 0"],
+        ),
         ({"actuators": {"slew": {"rotary": None}}}, ["actuators.slew", "exactly one of cylinder and rotary"]),
         ({"pump": {"pressure_bar": 25.0, "return_bar": 30.0}}, ["return_bar", "30.0", "below pressure_bar"]),
         (

@@ -27,17 +27,6 @@ MOVE = ReferencePose(0, IDENTITY, 1.0)
 
 
 class TestRequests:
-    def test_one_request_one_execution_one_answer(self) -> None:
-        wire = Wire().connect()
-        asked = [wire.client.submit(request, wire.now_ns) for request in (ENABLE, MOVE, STOP)]
-        wire.run(100)
-        assert wire.requests() == [
-            ENABLE._replace(command_id=asked[0]),
-            MOVE._replace(command_id=asked[1]),
-            STOP._replace(command_id=asked[2]),
-        ]
-        assert answers(wire) == [Acknowledgement(i, Reason.ACCEPTED, 0.0, 0.0) for i in asked]
-
     def test_a_request_with_nan_is_recognised_when_it_comes_again(self) -> None:
         wire = Wire(answer=Reason.NOT_FINITE).connect()
         nan = MOVE._replace(command_id=5, duration_s=float("nan"))

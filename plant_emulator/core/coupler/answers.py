@@ -1,6 +1,7 @@
 """The coupler's answers: each request is judged, refused with its exception or carried out on the image."""
 
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 
 from plant_emulator.core.coupler.image import COUPLER_MAP, CouplerImage
 from plant_emulator.core.coupler.modbus_requests import (
@@ -25,27 +26,14 @@ _BIT_FUNCTIONS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 _CENTRED = ValveImage(0, 0, (0.0,) * 6)
 
 
-class CouplerStatistics:
-    """Counts since the start: exchanges answered, exceptions returned, images refused, connections seen.
-
-    ``displaced``, ``unread``, ``quiet``: connections that were closed to make room, because their answers
-    were not read, and because they asked nothing.
-    """
-
-    def __init__(self) -> None:
-        self.requests = 0
-        self.exceptions = 0
-        self.torn_images = 0
-        self.connections = 0
-        self.framing_errors = 0
-        self.watchdog_expiries = 0
-        self.displaced = 0
-        self.unread = 0
-        self.quiet = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """The counts by name."""
-        return dict(vars(self))
+COUNTED = (
+    "requests", "exceptions", "torn_images", "connections", "framing_errors", "watchdog_expiries",
+    "displaced", "unread", "quiet",
+)  # fmt: skip
+"""Counts since the start: exchanges answered, exceptions returned, images refused, connections seen, frames
+refused; connections that were closed to make room, because their answers were not read, because they asked
+nothing.
+"""
 
 
 class CouplerAnswers:
@@ -55,7 +43,8 @@ class CouplerAnswers:
     with each whole image that a master wrote, and with a centred one when the watchdog expires.
     ``release_ns``: a master that has not written for so long loses the outputs to whoever writes next.
     ``report``: called as ``EventLog.write_repeated``, with what happens. Masters are any objects; times are
-    of one monotonic clock. ``writer``: who wrote outputs last, until it has gone; expiry changes nothing.
+    of one monotonic clock. ``statistics``: counts by the names in COUNTED. ``writer``: who wrote outputs
+    last, until it has gone; expiry changes nothing.
     """
 
     def __init__(
@@ -65,13 +54,13 @@ class CouplerAnswers:
         release_ns: int,
         report: Callable[..., None],
     ) -> None:
-        self.statistics = CouplerStatistics()
+        self.statistics = SimpleNamespace(**dict.fromkeys(COUNTED, 0))
         self._watchdog = CouplerWatchdog(release_ns)
         self.writer: object | None = None
         self._on_valves = on_valves
         self._report = report
         self._image = CouplerImage(sensor_words, self._watchdog)
-        self._counted_from = self.statistics.as_dict()
+        self._counted_from = dict(vars(self.statistics))
 
     def answered(self, master: object, request: Request, now_ns: int) -> tuple[int, Sequence[int]]:
         """Exception code of a request of ``master``, or 0 and the words or bits that it reads, if any."""
@@ -143,7 +132,7 @@ class CouplerAnswers:
     def _diagnosed(self, sub_function: int, *data: int) -> Sequence[int]:
         if sub_function in (ECHO, CLEAR_COUNTERS):
             if sub_function == CLEAR_COUNTERS:
-                self._counted_from = self.statistics.as_dict()
+                self._counted_from = dict(vars(self.statistics))
             return data
         if sub_function == READ_STATUS:
             return (self._image.status(),)

@@ -91,14 +91,6 @@ def test_what_goes_wrong_is_named_and_the_valve_is_centred(valve: ToyValve, caus
     assert state.spool == 0.0
 
 
-def test_a_joint_that_is_too_fast_is_stopped() -> None:
-    plan = plan_for(5)
-    slow = plan._replace(limits=plan.limits._replace(speed_limit=np.full(6, 0.06)))
-    _, trouble, _ = tried(ToyValve(5), slow)
-    assert trouble is not None
-    assert trouble.cause == "commissioning.too_fast"
-
-
 def test_a_joint_without_room_is_not_moved() -> None:
     plan = plan_for(0)
     narrow = plan._replace(limits=plan.limits._replace(joint_range=np.radians([[-2.0] * 6, [2.0] * 6])))
@@ -119,17 +111,6 @@ def test_a_joint_that_creeps_behind_its_closed_valve_is_tried_out_all_the_same()
     state, trouble, _ = tried(Creeping(5, 0.08, 0.08), plan_for(5))
     assert trouble is None
     assert state.phase is Phase.ENDED
-
-
-def test_another_joint_that_moves_ends_it() -> None:
-    class Coupled(ToyValve):
-        def step(self, command: float) -> None:
-            super().step(command)
-            self.q[4] = START[4] + 2.0 * (self.q[5] - START[5])
-
-    _, trouble, _ = tried(Coupled(5), plan_for(5))
-    assert trouble is not None
-    assert trouble.cause == "commissioning.other_joint_moved"
 
 
 class Sinking(ToyValve):

@@ -18,8 +18,7 @@ from foundation.event_log import EventLog
 from protocol.client_session import ReferenceClient
 from protocol.errors import ConfigurationError
 from protocol.faults import CommandCode, Reason
-from protocol.pose import IDENTITY
-from protocol.reference_messages import Command, ReferencePose
+from protocol.reference_messages import Command
 from protocol.server_session import ReferenceServer
 from protocol.session_events import Connected, SessionLost
 
@@ -91,45 +90,6 @@ def _take(port: ReferencePort) -> tuple[tuple[Request, ...], bool]:
     return port.take(time.monotonic_ns())
 
 
-async def test_requests_wait_for_the_scan_in_order(port: ReferencePort, meet: Meet) -> None:
-    assert _take(port) == ((), False)
-    peer = meet(port, 2)
-    await peer.connect()
-    peer.submit(Command(0, CommandCode.STOP))
-    peer.submit(Command(0, CommandCode.ENABLE))
-    peer.submit(ReferencePose(0, IDENTITY, 0.0))
-    await peer.turn()
-    requests, alive = _take(port)
-    assert alive
-    assert [type(request).__name__ for request in requests] == ["Command", "Command", "ReferencePose"]
-    assert _take(port) == ((), True)
-
-
-async def test_a_silent_peer_is_gone_after_the_timeout(port: ReferencePort, meet: Meet) -> None:
-    peer = meet(port, 3)
-    await peer.connect()
-    assert _take(port)[1]
-    await asyncio.sleep(TIMEOUT_MS * 1e-3 + 0.05)
-    assert not _take(port)[1]
-
-
-async def test_a_restarted_peer_does_not_inherit_what_the_old_one_had_set_in_motion(
-    port: ReferencePort, meet: Meet
-) -> None:
-    peer = meet(port, 6)
-    await peer.connect()
-    assert _take(port)[1]
-    peer.submit(Command(0, CommandCode.STOP))
-    peer.submit(ReferencePose(0, IDENTITY, 0.0))
-    await peer.turn()
-    peer.session = ReferenceClient(nonce=7, state_period_ms=10)  # a new run behind the same address
-    await peer.connect()
-    requests, alive = _take(port)
-    assert [type(request).__name__ for request in requests] == ["Command"]
-    assert not alive
-    assert _take(port) == ((), True)
-
-
 async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort, meet: Meet) -> None:
     """250 datagrams a cycle of 5 ms are 50 000 a second."""
     peer = meet(port, 8)
@@ -155,30 +115,6 @@ async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort,
     assert port.server.statistics.refused <= looked_at
     assert stopped_after is not None
     assert stopped_after <= 10
-
-
-async def test_a_flood_of_the_peers_own_does_not_hold_up_a_stop(port: ReferencePort, meet: Meet) -> None:
-    """2500 valid requests in the socket, more than are judged in 70 cycles, then a stop."""
-    peer = meet(port, 10)
-    await peer.connect()
-    for _ in range(2500):
-        peer.submit(Command(0, CommandCode.ENABLE))
-    peer.submit(Command(0, CommandCode.EMERGENCY_STOP))
-    for data in peer.session.outgoing(time.monotonic_ns()):
-        peer.socket.send(data)
-    requests, _ = _take(port)
-    assert isinstance(requests[0], Command)
-    assert requests[0].code is CommandCode.EMERGENCY_STOP
-    assert port.drops["link.left_out"] > 1000
-
-
-async def test_closing_says_goodbye(port: ReferencePort, meet: Meet) -> None:
-    peer = meet(port, 9)
-    await peer.connect()
-    port.server.close(time.monotonic_ns(), Reason.SHUTDOWN)
-    port.publish((), None, time.monotonic_ns())  # type: ignore[arg-type] - no session is left to publish to
-    await peer.turn()
-    assert any(isinstance(event, SessionLost) and event.reason is Reason.SHUTDOWN for event in peer.events)
 
 
 async def test_a_busy_port_is_named(port: ReferencePort) -> None:

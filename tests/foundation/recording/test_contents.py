@@ -51,7 +51,7 @@ def test_a_bad_checksum_is_told(tmp_path: Path) -> None:
     whole[summary.chunk_indexes[0].chunk_start_offset + 9 + 24] ^= 1  # behind two times and the size
     (tmp_path / "f.mcap").write_bytes(whole)
     (damage,) = contents(tmp_path / "f.mcap").damages
-    assert "checksum" in damage.what
+    assert "crc" in damage.what
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))

@@ -317,30 +317,6 @@ def test_an_answer_may_take_its_time_and_the_connection_is_used_again(hurried: S
         connection.close()
 
 
-def test_a_body_in_pieces_comes_whole(served: Served) -> None:
-    with served.connect() as sock:
-        sock.sendall(
-            b"POST /enable HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 6\r\n\r\n"
-        )
-        for piece in (b"ab", b"cd", b"ef"):
-            sock.sendall(piece)
-            time.sleep(0.02)
-        assert received(sock).status == 200
-    assert served.executed[-1] == b"abcdef"
-
-
-def test_a_websocket_is_not_spoken(served: Served) -> None:
-    upgrade = (
-        "Upgrade: websocket",
-        "Sec-WebSocket-Version: 13",
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
-    )
-    refused(served.ask("GET", "/nowhere", *upgrade), 404, "request.not_found")
-    refused(
-        served.ask("GET", "/nowhere", "Origin: http://evil.example", *upgrade), 403, "refused.foreign_origin"
-    )
-
-
 @pytest.mark.parametrize(
     ("reached", "host", "status"),
     [

@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator
 from typing import NamedTuple
 
 import pytest
-from pymodbus.client import AsyncModbusTcpClient
 from pyModbusTCP.client import ModbusClient
 
 from plant_emulator.shell.coupler import Coupler
@@ -69,21 +68,6 @@ def close_valves(image: ValveImage) -> bool:
     """Whether ``image`` is VALVES to the resolution of a word."""
     near = all(abs(a - b) < 1e-4 for a, b in zip(image.valves, VALVES.valves, strict=True))
     return near and image[:2] == VALVES[:2]
-
-
-async def test_one_exchange_with_pymodbus(bench: Bench) -> None:
-    client = AsyncModbusTcpClient("127.0.0.1", port=bench.port, timeout=1, retries=0)
-    assert await client.connect()
-    answer = await client.readwrite_registers(
-        read_address=0, read_count=40, write_address=0x800, values=encode_valves(VALVES), device_id=1
-    )
-    assert not answer.isError()
-    assert same_sensors(answer.registers)
-    assert len(bench.written) == 1
-    assert close_valves(bench.written[0])
-    back = await client.read_holding_registers(0x800, count=12, device_id=1)
-    assert back.registers == encode_valves(VALVES)
-    client.close()
 
 
 async def test_separate_reads_and_writes_with_pymodbustcp(bench: Bench) -> None:

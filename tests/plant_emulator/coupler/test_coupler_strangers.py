@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from plant_emulator.core.layout import who_yields
 from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import SLICE, Coupler, CouplerConnection
 from protocol.process_image import ValveImage, encode_valves
@@ -298,23 +297,3 @@ async def test_a_connection_holds_no_more_than_one_piece_and_a_part_of_a_request
         held = max(held, len(connection._held))
     assert SLICE * len(READ) < held < 4096 + len(READ)
     await bench.until(lambda: connection._held == READ[:-1])
-
-
-@dataclass
-class Guest:
-    """Somebody who has a place."""
-
-    address: str
-    served: int
-    heard_ns: int
-
-
-def test_who_yields() -> None:
-    rows = ("a", 5, 10), ("a", 0, 90), ("b", 0, 80), ("b", 7, 20)
-    a_old, a_new, b_new, b_old = guests = [Guest(*row) for row in rows]
-    assert who_yields(guests, "a", None, 5, 3) is None
-    assert who_yields(guests, "a", None, 5, 2) is a_new  # never served
-    assert who_yields(guests, "c", None, 4, 2) is b_new  # of all, the oldest that was never served
-    assert who_yields([a_old, b_old], "c", None, 2, 2) is a_old
-    assert who_yields([a_old, b_old], "c", a_old, 2, 2) is b_old
-    assert who_yields([a_old], "c", a_old, 1, 1) is None

@@ -1,8 +1,6 @@
 """The HTTP face for faults: everything it offers, everything it refuses, always as a problem with a cause."""
 
 import asyncio
-import contextlib
-import io
 import json
 import socket
 from typing import Any
@@ -14,8 +12,6 @@ from fastapi import FastAPI
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foundation.event_log import EventLog
-from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out
 from plant_emulator.core.faults.kinds import FAULTS
@@ -23,7 +19,7 @@ from plant_emulator.core.faults.schedule import LookOrder, Order, OrderMessage, 
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api
-from plant_emulator.shell.fault_api import create_app, serve
+from plant_emulator.shell.fault_api import create_app
 from protocol.errors import LinkLost, RequestRefused
 from protocol.process_image import CONTROL_ENABLE, ValveImage
 from tests.plant_emulator.camera.camera_world import scene_config
@@ -172,12 +168,6 @@ def test_what_is_not_an_order_at_all_is_refused(whole: tuple[Client, Plant], bod
     assert not plant.faults.all()
 
 
-def test_the_same_fault_twice_is_a_conflict(face: Client) -> None:
-    order = {"fault": {"kind": "valve_stuck", "joint": "lift"}}
-    number = face.post("/faults", json=order).json()["number"]
-    assert f"number {number}" in problem(face.post("/faults", json=order), 409, "refused.fault_present")
-
-
 def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(plant: Plant) -> None:
     planned = plant.inject(FAULTS["supply_lost"]())  # type: ignore[arg-type]
     face = Client(create_app(NearPlant(plant), False))
@@ -240,11 +230,6 @@ def test_a_restart_is_asked_for_without_a_body(face: Client, plant: Plant) -> No
     assert not plant.faults.all()
 
 
-def test_breaking_down_inside_tells_nothing_of_the_inside(plant: Plant, face: Client) -> None:
-    plant.faults = None  # type: ignore[assignment]
-    assert problem(face.get("/faults"), 500, "internal") == "an internal error; see the event log"
-
-
 _VALUES = (
     st.none() | st.booleans() | st.integers(-2000, 2000) | st.floats() | st.sampled_from(JOINTS) | st.text()
 )
@@ -272,27 +257,6 @@ def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client,
     assert plant.faults.all() == before
 
 
-async def test_a_body_too_large_and_what_is_not_permitted_are_refused_before_a_body_comes() -> None:
-    """Over a real socket: the answer is there although of 50 MB not one byte was sent."""
-    config = FaultApiConfig(host="127.0.0.1", port=0, allowed=False)
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with theirs, socket.create_server(("127.0.0.1", 0)) as listening:
-        serving = asyncio.create_task(serve(config, listening, theirs, EventLog("fault_api", io.StringIO())))
-        port = listening.getsockname()[1]
-        for framing, status, cause in (
-            ("Content-Length: 50000000", 413, "request.too_large"),
-            ("Transfer-Encoding: chunked", 411, "request.length_wanted"),
-            ("Content-Length: 0\r\nConnection: close", 403, "refused.faults_not_allowed"),
-        ):
-            answer = await _answer(port, f"POST /faults HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n")
-            assert answer.startswith(f"HTTP/1.1 {status} ".encode())
-            assert f'"{cause}"'.encode() in answer
-        answer = await _answer(port, "DELETE /faults HTTP/1.1\r\nHost: evil.example\r\n\r\n")
-        assert b'"refused.foreign_host"' in answer
-        ours.close()
-        await serving
-
-
 async def test_a_plant_that_says_nothing_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fault_api, "_ANSWER_WITHIN_S", 0.05)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -306,11 +270,3 @@ async def test_a_plant_that_says_nothing_is_told_as_such(monkeypatch: pytest.Mon
             answer = PlantAnswer(number=number, time_ns=5 * number, active=[], planned=[])
             ours.send(answer.model_dump_json().encode())
         assert (await asking).time_ns == 10
-
-
-async def _answer(port: int, request: str) -> bytes:
-    """Everything that comes until the face ends the connection, which it does before the body."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    with contextlib.closing(writer):
-        writer.write(request.encode())
-        return await asyncio.wait_for(reader.read(), 2.0)

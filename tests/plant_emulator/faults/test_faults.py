@@ -25,6 +25,7 @@ from plant_emulator.core.faults.kinds import (
 from plant_emulator.core.hydraulics.valve_commands import orifice_flow
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
+from protocol.errors import RequestRefused
 from protocol.process_image import (
     CONTROL_ENABLE,
     COUNTS_PER_TURN,
@@ -239,6 +240,8 @@ def test_a_changed_payload_is_the_latest_in_force(plant: Plant) -> None:
     assert plant.truth().payload_kg == 0.0
     plant.set_payload(25.0)
     assert plant.truth().payload_kg == 25.0
+    with pytest.raises(RequestRefused):
+        plant.set_payload(-1.0)
 
 
 def test_faults_that_are_not_the_plants_change_nothing_in_it() -> None:

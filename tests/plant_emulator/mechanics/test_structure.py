@@ -72,18 +72,6 @@ def test_side_load_decides_the_flank_and_not_the_last_turn() -> None:
     assert np.abs(np.abs(lies) - 1.05).max() < 0.06
 
 
-@pytest.mark.parametrize("tilt", [10.0, -10.0])
-def test_a_tilted_base_decides_the_flank_too(tilt: float) -> None:
-    """The start pose looks forward; a base that leans to one side lets the boom fall to that side."""
-    slew = {"hose_nm": 0.0, "hose_nm_rad": 0.0}
-    errors = on(loose_slew=slew) | {"base_tilt": {"enabled": True, "x_mrad": tilt, "y_mrad": 0.0}}
-    plant = Plant(plant_config(errors=errors, payload={"mass_kg": 100.0}), 1)
-    Driver(plant).run(1.0)
-    at = int(plant._model.loose.mesh[loose.M_AT])
-    lies = 1e3 * plant._state[plant._model.places.angle[at]]
-    assert lies == pytest.approx(-np.sign(tilt) * 0.6, abs=0.05)
-
-
 def test_a_boom_that_is_pulled_off_both_flanks_starts_between_them() -> None:
     slew = {"hose_nm": 3.0, "hose_nm_rad": 5e4, "backlash_mrad": 2.0}
     plant = Plant(plant_config(errors=on(loose_slew=slew)), 1)

@@ -75,14 +75,6 @@ def test_a_frame_arrives_whole(server: tuple[FrameServer, int]) -> None:
         assert payload == bytes([7]) * pixels + bytes([8]) * pixels
 
 
-def test_two_clients_get_the_same(server: tuple[FrameServer, int]) -> None:
-    frames, port = server
-    with client(frames, port) as first, client(frames, port, 2) as second:
-        frames.publish(frame(3))
-        assert receive(first)[1] == receive(second)[1]
-        assert receive_after(frames, first, 4)[0].frame_id == 4
-
-
 def receive_after(frames: FrameServer, sock: socket.socket, number: int) -> tuple[FrameHeader, bytes]:
     """The frame that arrives after publishing ``number``."""
     frames.publish(frame(number))
