@@ -152,10 +152,10 @@ class _Asking:
         again = self._attempt(case)
         if again.outcome is not CaseOutcome.PASS:
             return once._replace(attempts=(first, again))
-        said = (
+        note = (
             f"the tester was {first.late_ms:.0f} ms late; passed when asked again; at first: {first.detail}"
         )
-        return Result(case, CaseOutcome.FLAKY, said, (first, again))
+        return Result(case, CaseOutcome.FLAKY, note, (first, again))
 
     def _reason_not_to_ask(self, case: ConformanceCase) -> tuple[CaseOutcome, str] | None:
         """Outcome and reason of a case that need not be asked, or None."""

@@ -215,8 +215,8 @@ class ControllerConfig(StrictModel):
     @property
     def parks(self) -> bool:
         """Whether the arm parks; ``auto``: behind valves of which any may have hysteresis."""
-        asked = self.parking.enabled
-        return asked is True or (asked == "auto" and not all(valve.exact for valve in self.valves.joints))
+        setting = self.parking.enabled
+        return setting is True or (setting == "auto" and not all(valve.exact for valve in self.valves.joints))
 
     @property
     def stream_close_ms(self) -> float:

@@ -54,8 +54,8 @@ def refuse_what_is_left_out(config: ControllerConfig) -> None:
         "controller.valves.pressure_compensated": valves.pressure_compensated,
         "controller.valves: hysteresis": any(each.hysteresis.value > 0.0 for each in valves.joints),
     }
-    for key, asked in left_out.items():
-        if asked:
+    for key, requests in left_out.items():
+        if requests:
             raise ConfigurationError(
                 "controller_st.left_out", f"{key}: the controller in structured text has no such part"
             )
@@ -67,8 +67,8 @@ def constants_text(arm: NominalArm, config: ControllerConfig) -> str:
     refuse_what_is_left_out(config)
     parts = [_HEAD, "TYPE", _enumeration("E_LR_Mode", {MODES[m]: m.value for m in Mode}, "UINT")]
     # MOVE is a word of CODESYS.
-    asked = {each.name.replace("MOVE", "MOTION"): place for place, each in enumerate(Stimulus)}
-    parts.append(_enumeration("E_LR_Request", asked, "UINT"))
+    requests = {each.name.replace("MOVE", "MOTION"): place for place, each in enumerate(Stimulus)}
+    parts.append(_enumeration("E_LR_Request", requests, "UINT"))
     parts += [
         _enumeration(f"E_LR_{name}", {each.name: each.value for each in of}, base)
         for name, of, base in (
@@ -104,14 +104,14 @@ def _enumeration(name: str, values: dict[str, int], base: str) -> str:
 
 
 def _tables() -> Iterable[str]:
-    modes, asked = len(Mode) - 1, len(Stimulus) - 1
+    modes, requests = len(Mode) - 1, len(Stimulus) - 1
     for what, of in (("NEXT", "E_LR_Mode"), ("ANSWER", "E_LR_Reason")):
         rows = []
         for mode in Mode:
             steps = [TRANSITIONS[mode, each] for each in Stimulus]
             cells = [MODES[s.mode] if what == "NEXT" else s.reason.name for s in steps]
             rows.append("[" + ", ".join(f"{of}.{cell}" for cell in cells) + "]")
-        yield f"LR_{what} : ARRAY[0..{modes}, 0..{asked}] OF {of} := [{', '.join(rows)}];"
+        yield f"LR_{what} : ARRAY[0..{modes}, 0..{requests}] OF {of} := [{', '.join(rows)}];"
     yield _array("LR_GROUP_STATE", "UINT", [GROUP_STATE[mode].value for mode in Mode])
     sizes = [0, *(size_of(PAYLOADS[kind]) for kind in Kind)]
     yield _array("LR_PAYLOAD_BYTES", "UINT", sizes)

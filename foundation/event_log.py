@@ -284,17 +284,17 @@ def process_log(service: str) -> Generator[EventLog, None, None]:
 def event_of(line: str) -> dict[str, Any] | None:
     """A line of the log as its members and fields; None for any other line."""
     try:
-        said = json.loads(line)
+        entry = json.loads(line)
     except ValueError:
         return None
-    return said if isinstance(said, dict) and "event" in said else None
+    return entry if isinstance(entry, dict) and "event" in entry else None
 
 
 def in_words(line: str) -> str:
     """A line of the log as one line for a person: ``cause: detail``; any other line is returned as it is."""
-    said = event_of(line)
-    if said is None:
+    entry = event_of(line)
+    if entry is None:
         return line
-    cause = said.get("cause") or said["event"]
-    detail = said.get("detail") or said.get("message")
+    cause = entry.get("cause") or entry["event"]
+    detail = entry.get("detail") or entry.get("message")
     return f"{cause}: {detail}" if detail else str(cause)

@@ -69,8 +69,8 @@ def incidents_here() -> IncidentFile:
 
 def _incident_of(line: str) -> ServiceIncident | None:
     try:
-        said: Any = json.loads(line)
-        at_s, *words = (said[name] for name in ServiceIncident._fields)
+        record: Any = json.loads(line)
+        at_s, *words = (record[name] for name in ServiceIncident._fields)
         incident = ServiceIncident(float(at_s), *(str(word)[:400] for word in words))
     except (ValueError, TypeError, KeyError, OverflowError):
         return None

@@ -114,7 +114,7 @@ def say_ready(service: str, **fields: Any) -> None:
     print(json.dumps({"event": "ready", "service": service, "pid": os.getpid(), **fields}), flush=True)
 
 
-def when_asked_to_end(call: Callable[[], None]) -> None:
+def on_termination(call: Callable[[], None]) -> None:
     """Have the running loop ``call`` on SIGTERM and SIGINT."""
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, call)

@@ -35,9 +35,9 @@ class PicturePublisher:
         """Whether anybody subscribes to this eye."""
         return bool(self._pictures[eye].get_subscription_count() or self._infos[eye].get_subscription_count())
 
-    def publish(self, eye: str, said: Any, stamp: Stamp) -> None:
+    def publish(self, eye: str, picture: Any, stamp: Stamp) -> None:
         """Publish a picture as ``ros_messages.image`` takes it, and the eye's lens, if it is known."""
-        self._pictures[eye].publish(image(said, stamp))
+        self._pictures[eye].publish(image(picture, stamp))
         if eye in self.lenses:
             self._infos[eye].publish(camera_info(self.lenses[eye], stamp))
 

@@ -81,8 +81,8 @@ class ArmDrive:
         trajectory = getattr(message, "trajectory", message)
         self.time.measured_ns(trajectory.header.stamp, self.link.now_ns)
         for name in ("multi_dof_trajectory", "component_path_tolerance", "component_goal_tolerance"):
-            said = getattr(message, name, ())
-            if getattr(said, "joint_names", said):
+            content = getattr(message, name, ())
+            if getattr(content, "joint_names", content):
                 raise refused("joints", f"{name}: the arm has no joint of several degrees of freedom")
         path = joint_path(trajectory, self.link.state.q_cmd, self._limits)
         on_the_way = tolerances(getattr(message, "path_tolerance", ()), np.inf)

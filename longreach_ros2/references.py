@@ -45,10 +45,10 @@ class RosTime:
 
         Raises RequestRefused (``refused.ros_stamp``) for one that is too old, or ahead: another clock's.
         """
-        said_ns: int = stamp.sec * _NS + stamp.nanosec
-        if said_ns == 0:
+        stamp_ns: int = stamp.sec * _NS + stamp.nanosec
+        if stamp_ns == 0:
             return now_ns
-        age_ns = now_ns + self.offset_ns - said_ns
+        age_ns = now_ns + self.offset_ns - stamp_ns
         if not -NEWEST_NS <= age_ns <= OLDEST_NS:
             words = f"the stamp is {age_ns / _NS:.3f} s old by this machine's clock"
             raise refused("stamp", f"{words}, allowed are {-NEWEST_NS / _NS:g} s to {OLDEST_NS / _NS:g} s")

@@ -46,26 +46,26 @@ def transform(pose: Pose, frame: str, child: str, stamp: Stamp) -> Any:
     return message
 
 
-def posed(said: Any) -> Pose:
+def posed(given: Any) -> Pose:
     """The pose of a ``foxglove.FrameTransform``."""
-    p, q = said.translation, said.rotation
+    p, q = given.translation, given.rotation
     return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
 
 
-def image(said: Any, stamp: Stamp) -> Any:
+def image(given: Any, stamp: Stamp) -> Any:
     """A ``foxglove.RawImage`` or ``CompressedImage`` as ROS has it."""
-    if hasattr(said, "format"):
-        return stamped(CompressedImage(format=said.format, data=said.data), said.frame_id, stamp)
-    message = Image(height=said.height, width=said.width, encoding=said.encoding, step=said.step)
-    message.data.frombytes(said.data)
-    return stamped(message, said.frame_id, stamp)
+    if hasattr(given, "format"):
+        return stamped(CompressedImage(format=given.format, data=given.data), given.frame_id, stamp)
+    message = Image(height=given.height, width=given.width, encoding=given.encoding, step=given.step)
+    message.data.frombytes(given.data)
+    return stamped(message, given.frame_id, stamp)
 
 
-def camera_info(said: Any, stamp: Stamp) -> Any:
+def camera_info(given: Any, stamp: Stamp) -> Any:
     """A ``foxglove.CameraCalibration`` as ROS has it."""
-    message = CameraInfo(height=said.height, width=said.width, distortion_model=said.distortion_model)
-    message.d, message.k, message.r, message.p = list(said.D), list(said.K), list(said.R), list(said.P)
-    return stamped(message, said.frame_id, stamp)
+    message = CameraInfo(height=given.height, width=given.width, distortion_model=given.distortion_model)
+    message.d, message.k, message.r, message.p = list(given.D), list(given.K), list(given.R), list(given.P)
+    return stamped(message, given.frame_id, stamp)
 
 
 def stamped(message: Any, frame: str, stamp: Stamp) -> Any:
@@ -75,10 +75,10 @@ def stamped(message: Any, frame: str, stamp: Stamp) -> Any:
     return message
 
 
-def transforms(said: Iterable[Any], stamp: Stamp) -> Any:
+def transforms(given: Iterable[Any], stamp: Stamp) -> Any:
     """A ``foxglove.FrameTransforms`` as ROS has it."""
     return TFMessage(
-        transforms=[transform(posed(one), one.parent_frame_id, one.child_frame_id, stamp) for one in said]
+        transforms=[transform(posed(one), one.parent_frame_id, one.child_frame_id, stamp) for one in given]
     )
 
 

@@ -13,12 +13,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from foundation.event_log import EventLog
-from foundation.service_main import say_ready, when_asked_to_end
+from foundation.service_main import on_termination, say_ready
 from longreach_ros2.camera import show
 from longreach_ros2.clock import ClockPublisher
 from longreach_ros2.drive import ArmDrive
 from longreach_ros2.drive_node import DriveNode
-from longreach_ros2.live_face import live_messages
+from longreach_ros2.live_client import live_messages
 from longreach_ros2.lockstep import OFFSET_NS, SimulatedMachine
 from longreach_ros2.references import RosTime
 from longreach_ros2.watch_node import TOPICS, WatchNode
@@ -53,10 +53,10 @@ async def drive(arm: NominalArm, config: VisionConfig, log: EventLog, *, tf: boo
     with spinning(node):
         say_ready("longreach_ros2", controller={"host": settings.host, "port": settings.port})
         if camera is None:
-            await asked_to_end(None)
+            await until_termination(None)
         else:
             await camera.start()
-            await asked_to_end(show(camera, config, node, ros_time))
+            await until_termination(show(camera, config, node, ros_time))
             await camera.close()
         await _end_goals()
         await endpoint.close()
@@ -73,7 +73,7 @@ async def simulate(machine: SimulatedMachine, pace: float, log: EventLog, *, tf:
     clock = ClockPublisher(node, machine)
     with spinning(node, has_clock=True):
         say_ready("longreach_ros2", lockstep={"pace": pace})
-        await asked_to_end(machine.run(pace, clock.publish))
+        await until_termination(machine.run(pace, clock.publish))
         await _end_goals()
     log.write("stopped")
 
@@ -97,14 +97,14 @@ async def watch(url: str, log: EventLog) -> None:
 
     with spinning(node):
         say_ready("longreach_ros2", watch=url)
-        await asked_to_end(shown())
+        await until_termination(shown())
     log.write("stopped")
 
 
-async def asked_to_end(beside: Coroutine[Any, Any, None] | None) -> None:
+async def until_termination(beside: Coroutine[Any, Any, None] | None) -> None:
     """Return on SIGTERM or SIGINT, or raise what ``beside`` raises before."""
     end = asyncio.Event()
-    when_asked_to_end(end.set)
+    on_termination(end.set)
     waiting = asyncio.ensure_future(end.wait())
     tasks = {waiting} if beside is None else {waiting, asyncio.ensure_future(beside)}
     done, left = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

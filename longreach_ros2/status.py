@@ -42,11 +42,11 @@ class Refusals:
 
 def diagnosis(link: ReferenceLink, refusals: Refusals) -> Diagnosis:
     """What the arm's newest state and the newest refusal say; never raises."""
-    said = {**refusals.newest, "refusals": str(refusals.count)}
+    refused = {**refusals.newest, "refusals": str(refusals.count)}
     try:
         state = link.state
     except LinkLost as error:
-        return Diagnosis(STALE, str(error), {"cause": error.cause, **said})
+        return Diagnosis(STALE, str(error), {"cause": error.cause, **refused})
     level, message = _judged(state)
     values = {
         "group_state": state.group_state.name,
@@ -60,7 +60,7 @@ def diagnosis(link: ReferenceLink, refusals: Refusals) -> Diagnosis:
         "overruns": str(state.overruns),
         "plant_exchange_failures": str(state.plant_exchange_failures),
     }
-    return Diagnosis(level, message, values | said)
+    return Diagnosis(level, message, values | refused)
 
 
 def news_of(state: State) -> tuple[int, ...]:

@@ -89,28 +89,28 @@ def joint_path(message: Any, q_cmd: Sequence[float], limits: Limits) -> JointPat
 
 def joint_order(names: Iterable[str]) -> list[int]:
     """Where each of our joints stands among ``names``. Raises RequestRefused unless they are all, once."""
-    said = list(names)
-    missing = [name for name in JOINT_NAMES if name not in said]
-    unknown = [name for name in said if name not in JOINT_NAMES]
-    if missing or unknown or len(said) != _JOINTS:
+    given = list(names)
+    missing = [name for name in JOINT_NAMES if name not in given]
+    unknown = [name for name in given if name not in JOINT_NAMES]
+    if missing or unknown or len(given) != _JOINTS:
         parts = [("missing", missing), ("unknown", unknown)]
         why = (
             "; ".join(f"{word}: {', '.join(some)}" for word, some in parts if some) or "some are named twice"
         )
         raise refused(
-            "joints", f"joints {', '.join(said) or 'none'}, this arm has {', '.join(JOINT_NAMES)} ({why})"
+            "joints", f"joints {', '.join(given) or 'none'}, this arm has {', '.join(JOINT_NAMES)} ({why})"
         )
-    return [said.index(name) for name in JOINT_NAMES]
+    return [given.index(name) for name in JOINT_NAMES]
 
 
-def tolerances(said: Iterable[Any], usual: float) -> Array:
+def tolerances(given: Iterable[Any], usual: float) -> Array:
     """(6,) rad of ``control_msgs/JointTolerance``: 0 means ``usual``, −1 none (infinite).
 
     Raises RequestRefused for another joint, for another negative value or one that is not finite, and for a
     tolerance of speed or acceleration: neither is judged.
     """
     found = dict.fromkeys(JOINT_NAMES, usual)
-    for one in said:
+    for one in given:
         if one.name not in found:
             raise refused("joints", f"tolerance of joint {one.name!r}, this arm has {', '.join(JOINT_NAMES)}")
         for what in ("velocity", "acceleration"):

@@ -10,7 +10,7 @@ from tf2_msgs.msg import TFMessage
 
 from longreach_ros2.camera import EYES, PicturePublisher
 from longreach_ros2.kinematics import BASE
-from longreach_ros2.live_face import LiveMessage
+from longreach_ros2.live_client import LiveMessage
 from longreach_ros2.references import RosTime
 from longreach_ros2.ros_messages import DEPTH, Stamp, joint_state, pose_stamped, posed, transforms
 from nominal_arm.description import JOINT_NAMES
@@ -39,9 +39,9 @@ class WatchNode(Node):  # type: ignore[misc]
         self._lenses: dict[str, Any] = {}
         self._seen: dict[str, Any] = {}
 
-    def show(self, said: LiveMessage) -> None:
+    def show(self, live: LiveMessage) -> None:
         """Publish one message of the live face."""
-        topic, log_ns, message = said
+        topic, log_ns, message = live
         stamp = self._time.of(log_ns)
         if topic == STATE:
             self._joints.publish(joint_state(_joints(message, "q_meas"), stamp))

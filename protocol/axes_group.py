@@ -37,7 +37,7 @@ GROUP_STATE = {
 }
 
 
-class Asked(IntEnum):
+class GroupRequest(IntEnum):
     """What a client can ask of the group: commands under their link numbers, and references."""
 
     ENABLE = CommandCode.ENABLE
@@ -86,18 +86,18 @@ def table_row(row: str) -> dict[Mode, Transition]:
 
 # STOP is always accepted.
 _TABLE = {
-    Asked.ENABLE: "S/ok    S/done  M/done  F/done  T/done  G/busy  R/error H/error E/latch",
-    Asked.DISABLE: "D/done  D/ok    G/ok    G/ok    G/ok    G/done  R/error H/done  E/done",
-    Asked.STOP: "D/ok    S/ok    T/ok    T/ok    T/ok    G/ok    R/ok    H/ok    E/ok",
-    Asked.RESET: "D/none  S/none  M/none  F/none  T/none  G/none  R/busy  D/ok    E/latch",
-    Asked.EMERGENCY_STOP: "E/ok    E/ok    E/ok    E/ok    E/ok    E/ok    E/ok    E/ok    E/done",
-    Asked.EMERGENCY_RELEASE: "D/done  S/done  M/done  F/done  T/done  G/done  R/done  H/done  H/ok",
-    Asked.START_STREAM: "D/off   F/ok    M/move  F/flow  T/busy  G/busy  R/error H/error E/latch",
-    Asked.END_STREAM: "D/dry   S/dry   M/dry   M/ok    T/dry   G/dry   R/dry   H/dry   E/dry",
-    Asked.MOVE: "D/off   M/ok    M/ok    F/flow  T/busy  G/busy  R/error H/error E/latch",
-    Asked.STREAMED: "D/off   S/dry   M/dry   F/ok    T/busy  G/busy  R/error H/error E/latch",
+    GroupRequest.ENABLE: "S/ok    S/done  M/done  F/done  T/done  G/busy  R/error H/error E/latch",
+    GroupRequest.DISABLE: "D/done  D/ok    G/ok    G/ok    G/ok    G/done  R/error H/done  E/done",
+    GroupRequest.STOP: "D/ok    S/ok    T/ok    T/ok    T/ok    G/ok    R/ok    H/ok    E/ok",
+    GroupRequest.RESET: "D/none  S/none  M/none  F/none  T/none  G/none  R/busy  D/ok    E/latch",
+    GroupRequest.EMERGENCY_STOP: "E/ok    E/ok    E/ok    E/ok    E/ok    E/ok    E/ok    E/ok    E/done",
+    GroupRequest.EMERGENCY_RELEASE: "D/done  S/done  M/done  F/done  T/done  G/done  R/done  H/done  H/ok",
+    GroupRequest.START_STREAM: "D/off   F/ok    M/move  F/flow  T/busy  G/busy  R/error H/error E/latch",
+    GroupRequest.END_STREAM: "D/dry   S/dry   M/dry   M/ok    T/dry   G/dry   R/dry   H/dry   E/dry",
+    GroupRequest.MOVE: "D/off   M/ok    M/ok    F/flow  T/busy  G/busy  R/error H/error E/latch",
+    GroupRequest.STREAMED: "D/off   S/dry   M/dry   F/ok    T/busy  G/busy  R/error H/error E/latch",
 }
 
-ANSWERS: dict[tuple[Mode, Asked], Transition] = {
-    (mode, asked): step for asked, row in _TABLE.items() for mode, step in table_row(row).items()
+ANSWERS: dict[tuple[Mode, GroupRequest], Transition] = {
+    (mode, request): step for request, row in _TABLE.items() for mode, step in table_row(row).items()
 }

@@ -45,22 +45,22 @@ class ClientHandshake:
         self._state_period_ms = state_period_ms
         self._capabilities = capabilities | (CAPABILITY_AUTHENTICATION if key else 0)
         self._key = key
-        self._said = 0
+        self._hellos_sent = 0
         self.due_ns = 0
         self.channel = self._channel(first_sequence)
 
     def begin(self, next_sequence: int) -> None:
         """Draws a new nonce and starts counting; numbers go on with ``next_sequence``."""
         self._nonce = (self._nonce + 1) % 2**64 or 1
-        self._said = 0
+        self._hellos_sent = 0
         self.channel = self._channel(next_sequence)
 
     def hello(self, now_ns: int) -> Hello:
         """The HELLO to say now; a new nonce after the tenth in vain."""
         # A session that the controller opened and gave up again unheard has used its nonce up.
-        if self._said == HELLOS_PER_NONCE:
+        if self._hellos_sent == HELLOS_PER_NONCE:
             self.begin(self.channel.next_sequence)
-        self._said += 1
+        self._hellos_sent += 1
         self.due_ns = now_ns + HELLO_PERIOD_NS
         return Hello(self._nonce, self._capabilities, self._arm_hash, self._state_period_ms)
 

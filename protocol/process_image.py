@@ -126,7 +126,7 @@ _RANGES = {"H": (0, 2**16 - 1), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**3
 class _Codec:
     """What encoding and decoding need of a table, taken apart once: both are done in every cycle.
 
-    An image's numbers are what its layout packs, none of them reserved; ``said`` are made of its values.
+    An image's numbers are what its layout packs, none of them reserved; ``values_of`` are made of its values.
     """
 
     def __init__(self, table: tuple[Register, ...]) -> None:
@@ -134,9 +134,9 @@ class _Codec:
         self.rows = tuple(row for row in packed if row.constant is None and not row.closes)
         self.layout = struct.Struct("<" + "".join(map(_code, table)))
         self.words = struct.Struct(f"<{sum(row.words for row in table)}H")
-        self.said = tuple(row for row in self.rows for _ in range(row.count))
-        self.scales = tuple(row.scale for row in self.said)
-        self.counters = tuple(place for place, row in enumerate(self.said) if row.counter)
+        self.values_of = tuple(row for row in self.rows for _ in range(row.count))
+        self.scales = tuple(row.scale for row in self.values_of)
+        self.counters = tuple(place for place, row in enumerate(self.values_of) if row.counter)
         ends = list(accumulate(row.count for row in packed))
         places = [(row, end - row.count, end) for row, end in zip(packed, ends, strict=True)]
         self.constants = tuple((k, row.constant) for row, k, _ in places if row.constant is not None)
@@ -219,7 +219,7 @@ def _encode(values: Sequence[Any], codec: _Codec) -> list[int]:
         raw = list(map(round, map(mul, numbers, codec.scales)))
         return _pack(raw, codec)
     except (ValueError, OverflowError, struct.error):  # not finite, or out of range: which is found below
-        return _pack(list(map(_raw, numbers, codec.said)), codec)
+        return _pack(list(map(_raw, numbers, codec.values_of)), codec)
 
 
 def _pack(raw: list[int], codec: _Codec) -> list[int]:

@@ -60,7 +60,7 @@ class Declarations:
     def __init__(self, declared: Iterable[Declaration], check: Any, refusals: TextErrors) -> None:
         """``check``: checks an expression, with its expected type and file; ``refusals`` takes errors."""
         self._check, self.refusals = check, refusals
-        self._asked: list[str] = []
+        self._open_types: list[str] = []
         self._failed: set[str] = set()
         self._stack = 0
         self.owners: dict[str, list[str]] = {}
@@ -114,18 +114,18 @@ class Declarations:
     @contextmanager
     def _asks(self, name: str, place: Place) -> Iterator[None]:
         """What the block resolves is ``name``, which refers to others in it, and never to itself."""
-        place.demand(name.upper() not in self._asked, "type", f"{name} contains itself")
+        place.demand(name.upper() not in self._open_types, "type", f"{name} contains itself")
         place.demand(name.upper() not in self._failed, "follows", name)
         chain = f"more than {_DEEPEST} declarations, each of which needs a later one"
-        place.demand(len(self._asked) < _DEEPEST, "type", chain)
-        self._asked.append(name.upper())
+        place.demand(len(self._open_types) < _DEEPEST, "type", chain)
+        self._open_types.append(name.upper())
         try:
             yield
         except StructuredTextError:
             self._failed.add(name.upper())
             raise
         finally:
-            self._asked.pop()
+            self._open_types.pop()
 
     # types
 

@@ -27,7 +27,7 @@ _OF_ONE_ARM = {
     "plant": ("start_pose_deg", "geometry", "masses", "flexibility", "actuators"),
     "scene": ("object_of_interest.position_m",),
 }
-_SAID = "# Copied from {like}, to be edited. What is left out here is as in the directory of base.yaml.\n"
+_NOTE = "# Copied from {like}, to be edited. What is left out here is as in the directory of base.yaml.\n"
 
 
 def begin_arm(directory: Path, like: Path, settings: Settings) -> list[Path]:
@@ -52,7 +52,7 @@ def begin_arm(directory: Path, like: Path, settings: Settings) -> list[Path]:
 
 def _write(path: Path, like: Path, content: dict[str, Any]) -> Path:
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    path.write_text(_SAID.format(like=like) + text, encoding="utf-8")
+    path.write_text(_NOTE.format(like=like) + text, encoding="utf-8")
     return path
 
 

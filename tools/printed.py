@@ -66,15 +66,15 @@ def output(block: Block, folder: Path) -> str:
     ).stdout
 
 
-def renewed(line: str, said: str) -> str:
-    """``line`` with the numbers of the first place in ``said`` that has its words, rounded as ``line`` is.
+def renewed(line: str, seen: str) -> str:
+    """``line`` with the numbers of the first place in ``seen`` that has its words, rounded as ``line`` is.
 
     Blanks count as one, and as none within brackets. Raises ValueError where the words are nowhere.
     """
     pattern = f"({NUMBER.pattern})".join(re.escape(word) for word in NUMBER.split(line))
-    found = re.search(pattern, re.sub(r"(?<=\[) | (?=\])", "", " ".join(said.split())))
+    found = re.search(pattern, re.sub(r"(?<=\[) | (?=\])", "", " ".join(seen.split())))
     if found is None:
-        raise ValueError(f"nothing prints {line!r}, but {said[-2000:]}")
+        raise ValueError(f"nothing prints {line!r}, but {seen[-2000:]}")
     numbers = iter(found.groups())
     return NUMBER.sub(lambda shown: _rounded(next(numbers), shown[0]), line)
 
@@ -115,8 +115,8 @@ def page_lines(page: Path, quick: bool) -> Iterator[tuple[str, str]]:
         left_out = block.text.startswith(_REAL_TIME) or (quick and block.text.startswith(_LONG))
         if block.printed and not left_out:
             with tempfile.TemporaryDirectory() as folder:
-                said = output(block, Path(folder))
-            yield from ((line, renewed(line, said)) for line in block.printed)
+                seen = output(block, Path(folder))
+            yield from ((line, renewed(line, seen)) for line in block.printed)
 
 
 def notebook() -> tuple[dict[str, Any], dict[str, Any]]:

@@ -10,7 +10,7 @@ from controller.core.inbox import WAITING
 from controller.core.trajectories.path_survey import JOINT_MARGIN_DEG
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
-from protocol.axes_group import ANSWERS, Asked, Mode
+from protocol.axes_group import ANSWERS, GroupRequest, Mode
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
 from protocol.client_handshake import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
@@ -49,7 +49,7 @@ def table(head: str, rows: Iterable[Iterable[object]]) -> str:
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
 Member = TypeVar("Member", bound=IntEnum)
-COLUMNS = {Asked.MOVE: "reference", Asked.STREAMED: "streamed reference"}
+COLUMNS = {GroupRequest.MOVE: "reference", GroupRequest.STREAMED: "streamed reference"}
 MS = 1_000_000
 
 
@@ -141,13 +141,13 @@ def enumeration(members: type[Member], texts: dict[Member, str]) -> str:
 def group_table() -> str:
     """Every command and reference in every mode of the group: the reason that answers, and the next mode."""
     return table(
-        "in | " + " | ".join(COLUMNS.get(asked, asked.name) for asked in Asked),
+        "in | " + " | ".join(COLUMNS.get(request, request.name) for request in GroupRequest),
         (
             [
                 mode.name,
                 *(
                     t.reason.name if t.mode is mode else f"{t.reason.name}→{t.mode.name}"
-                    for t in (ANSWERS[mode, asked] for asked in Asked)
+                    for t in (ANSWERS[mode, request] for request in GroupRequest)
                 ),
             ]
             for mode in Mode

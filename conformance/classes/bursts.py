@@ -11,7 +11,7 @@ from conformance.reference.handshake import granted
 from conformance.reference.motion import STEP_M, disabled, enabled, moved
 from conformance.reference.streaming import BOTH
 from conformance.wire import ANSWER_MS, MS, Unsupported, require
-from protocol.axes_group import ANSWERS, Asked, Mode
+from protocol.axes_group import ANSWERS, GroupRequest, Mode
 from protocol.datagram_layout import HEADER_BYTES, MAX_WAYPOINTS, Kind
 from protocol.faults import CommandCode, Reason
 from protocol.pose import Pose
@@ -33,7 +33,7 @@ from protocol.reference_messages import (
 )
 
 case = reference.case
-STOPS = (Asked.STOP, Asked.DISABLE, Asked.EMERGENCY_STOP)
+STOPS = (GroupRequest.STOP, GroupRequest.DISABLE, GroupRequest.EMERGENCY_STOP)
 AT_REST = (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY, Mode.STANDBY)
 _DONE = (Reason.ACCEPTED, Reason.ALREADY_DONE)
 _TO_DISABLED = (CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE, CommandCode.RESET)
@@ -50,22 +50,22 @@ TRIES = 4
 
 
 class Way(NamedTuple):
-    """A request in a burst; ``asked``: of the group; ``refused``: why, before it waits (6.6).
+    """A request in a burst; ``request_kind``: of the group; ``refused``: why, before it waits (6.6).
 
     A refused one may also be judged behind what waits: then a stop overtakes it (6.13).
     """
 
     name: str
-    asked: Asked | None
+    request_kind: GroupRequest | None
     refused: Reason | None = None
 
 
-_COMMANDS = [Way(code.name, Asked(code)) for code in CommandCode]
+_COMMANDS = [Way(code.name, GroupRequest(code)) for code in CommandCode]
 WAYS = (
     *_COMMANDS,
-    Way("a pose", Asked.MOVE),
-    Way("a path", Asked.MOVE),
-    Way("a pose of NaN", Asked.MOVE),
+    Way("a pose", GroupRequest.MOVE),
+    Way("a path", GroupRequest.MOVE),
+    Way("a pose of NaN", GroupRequest.MOVE),
     Way("an unknown command", None, Reason.UNKNOWN_COMMAND),
     Way("no path", None, Reason.EMPTY_PATH),
     Way("too long a path", None, Reason.TOO_MANY_WAYPOINTS),
@@ -81,7 +81,7 @@ def _request(peer: Peer, way: Way, here: Pose) -> tuple[Request, bytes]:
     if "pose" in way.name:
         request = ReferencePose(number, goal, 5.0)
     elif "path" not in way.name:
-        request = Command(number, CommandCode(way.asked or CommandCode.STOP))
+        request = Command(number, CommandCode(way.request_kind or CommandCode.STOP))
     data, counts = peer.encoded(request), {Reason.EMPTY_PATH: 0, Reason.TOO_MANY_WAYPOINTS: MAX_WAYPOINTS + 1}
     if way.refused is not None:
         data = peer.with_number(data, CODE, "I", counts.get(way.refused, UNKNOWN))
@@ -90,9 +90,9 @@ def _request(peer: Peer, way: Way, here: Pose) -> tuple[Request, bytes]:
 
 def _alone(mode: Mode, way: Way) -> tuple[Reason, Mode]:
     """What answers it in ``mode``, and where it leads."""
-    if way.refused is not None or way.asked is None:
+    if way.refused is not None or way.request_kind is None:
         return way.refused or Reason.ACCEPTED, mode
-    step = ANSWERS[mode, way.asked]
+    step = ANSWERS[mode, way.request_kind]
     odd = way.name == "a pose of NaN" and step.reason is Reason.ACCEPTED
     return (Reason.NOT_FINITE, mode) if odd else (step.reason, step.mode)
 
@@ -111,12 +111,12 @@ def allowed(mode: Mode, ways: tuple[Way, ...], *, parted: bool = True) -> Iterat
 
 
 def _judge(mode: Mode, scan: range, ways: tuple[Way, ...], answers: dict[int, Reason], *, late: bool) -> Mode:
-    last_stop = max((n for n in scan if ways[n].asked in STOPS), default=-1)
-    newest = max((n for n in scan if ways[n].asked is Asked.MOVE), default=-1)
+    last_stop = max((n for n in scan if ways[n].request_kind in STOPS), default=-1)
+    newest = max((n for n in scan if ways[n].request_kind is GroupRequest.MOVE), default=-1)
     for n in scan:
         way = ways[n]
-        gone = n < last_stop and way.asked not in STOPS and (late or way.refused is None)
-        if gone or (way.asked is Asked.MOVE and n < newest):
+        gone = n < last_stop and way.request_kind not in STOPS and (late or way.refused is None)
+        if gone or (way.request_kind is GroupRequest.MOVE and n < newest):
             answers[n] = Reason.OVERTAKEN
         else:
             answers[n], mode = _alone(mode, way)
@@ -151,14 +151,14 @@ def judge_burst(peer: Peer, mode: Mode, ways: tuple[Way, ...], here: Pose) -> bo
     requests = [request for request, _ in made]
     answers = _answers_to(peer, requests)
     got = tuple(a.reason for r in requests for a in answers if a.command_id == r.command_id)
-    said = f"{' and '.join(way.name for way in ways)} in {mode.name}: {', '.join(r.name for r in got)}"
-    require(len(answers) == len(ways) and got in set(allowed(mode, ways)), said)
+    note = f"{' and '.join(way.name for way in ways)} in {mode.name}: {', '.join(r.name for r in got)}"
+    require(len(answers) == len(ways) and got in set(allowed(mode, ways)), note)
     for answer in answers:
         ids = [float(r.command_id) for r in requests if r.command_id > answer.command_id]
         own = answer.value == float(answer.command_id) and answer.limit in ids
-        require(answer.reason is not Reason.OVERTAKEN or own, f"{said}: {answer}")
+        require(answer.reason is not Reason.OVERTAKEN or own, f"{note}: {answer}")
         empty = answer.value == answer.limit == 0.0
-        require(answer.reason >= Reason.NOT_FINITE or empty, f"{said}: {answer}")
+        require(answer.reason >= Reason.NOT_FINITE or empty, f"{note}: {answer}")
     return got in set(allowed(mode, ways, parted=False))
 
 
@@ -169,7 +169,7 @@ def bursts(mode: Mode) -> Iterator[tuple[Way, ...]]:
     stop, pose, unknown = WAYS[2], WAYS[8], WAYS[11]
     for way in _COMMANDS:
         yield from ((pose, way, pose), (way, pose, stop), (unknown, way, pose), (pose, stop, way))
-        if way.asked in STOPS:
+        if way.request_kind in STOPS:
             yield (way, way, way)
 
 
@@ -180,7 +180,7 @@ def _enter(number: int, clause: str, mode: Mode) -> None:
             raise Unsupported("paths or streams are not granted", OptionalPart.STREAMING)
         here = enabled(peer).X_BT_cmd if mode is Mode.STANDBY else peer.state().X_BT
         for ways in bursts(mode):
-            moves = mode is Mode.STANDBY or all(way.asked is not Asked.ENABLE for way in ways)
+            moves = mode is Mode.STANDBY or all(way.request_kind is not GroupRequest.ENABLE for way in ways)
             if moves or mode is Mode.EMERGENCY:
                 at_once = any(judge_burst(peer, mode, ways, here) for _ in range(TRIES))
                 names = " and ".join(way.name for way in ways)

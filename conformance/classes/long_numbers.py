@@ -134,15 +134,15 @@ def heartbeats(peer: Peer) -> None:
     times = [0, WORD - 1, *(1 << bit for bit in range(64))]
     for begin in range(0, len(times), BURST):
         peer.drain()
-        asked = times[begin : begin + BURST]
-        for data in [peer.encoded(Heartbeat(own_ns)) for own_ns in asked]:
+        sent_times = times[begin : begin + BURST]
+        for data in [peer.encoded(Heartbeat(own_ns)) for own_ns in sent_times]:
             peer.send_raw(data)
         replies: list[int] = []
         until_ns = peer.now_ns + ANSWER_MS * MS
-        while len(replies) < len(asked) and peer.now_ns < until_ns:
+        while len(replies) < len(sent_times) and peer.now_ns < until_ns:
             got = [d.message for d in peer.collect(5.0, beating=False)]
             replies += [m.sent_ns for m in got if isinstance(m, HeartbeatReply)]
-        require(replies == asked, f"of {asked} came back {replies}")
+        require(replies == sent_times, f"of {sent_times} came back {replies}")
 
 
 @case(305, "8", "what leaps too far ahead, or lies behind by any power of two, is not used and moves nothing")
@@ -180,9 +180,9 @@ def streams(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for other in flipped(stream.stream_id):
         got = known(verdict(stream, here, stream_id=other), f"stream {other:#x} is followed")
-        said = (got.reason, got.stream_id, got.value, got.limit)
+        fields = (got.reason, got.stream_id, got.value, got.limit)
         wanted = (Reason.NOT_STREAMING, other, float(other), float(stream.stream_id))
-        require(said == wanted, f"stream {other:#x}: {got}")
+        require(fields == wanted, f"stream {other:#x}: {got}")
         stream.feed(here, LIMITS_FEED_MS)
 
 

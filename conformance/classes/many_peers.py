@@ -31,7 +31,7 @@ def _ways(peer: Peer, arm_hash: int, *, occupied: bool) -> dict[Reason, Way]:
     return ways | ({Reason.SESSION_OCCUPIED: lambda source: hello(source, 0)} if occupied else {})
 
 
-def _told(sources: list[Peer]) -> list[Reason]:
+def _reasons_sent(sources: list[Peer]) -> list[Reason]:
     """The reasons that come within 36 ms, less than what two refusals are apart."""
     came = [d.message for d in sources[0].collect(30, beating=False)]
     came += [d.message for source in sources[1:] for d in source.collect(1, beating=False)]
@@ -51,15 +51,15 @@ def rationed(peer: Peer) -> None:
             peer.collect(RATION_MS)
             for source, way in burst:
                 source.send_raw(way(source))
-            told = _told(sources)
-            names = sorted(reason.name for reason in told)
-            require(len(told) == 1, f"{len(burst)} refusals at once were answered with {names}")
+            reasons = _reasons_sent(sources)
+            names = sorted(reason.name for reason in reasons)
+            require(len(reasons) == 1, f"{len(burst)} refusals at once were answered with {names}")
         for reason, way in ways.items():
             for source in sources[:2]:
                 peer.collect(RATION_MS)
                 source.send_raw(way(source))
-                told = _told(sources)
-                require(told == [reason], f"what is told {reason.name}, when it is due: {told}")
+                reasons = _reasons_sent(sources)
+                require(reasons == [reason], f"what is told {reason.name}, when it is due: {reasons}")
         if occupied:
             peer.alive("while strangers are refused")
             require(any(isinstance(d.message, State) for d in peer.collect(80)), "STATE stopped meanwhile")

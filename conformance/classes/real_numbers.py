@@ -174,9 +174,9 @@ def require_edge(ask: Ask, reason: Reason, far: float, what: str, slack: float =
     got = ask(beyond)
     if got.reason is Reason.TOO_FAR is not reason:
         return False  # that is judged before
-    said = f"{what} of {beyond!r}, beyond {bound!r}"
-    require(got.reason is reason and got.limit == bound, f"{said}: {got}")
-    require(abs(got.value - beyond) <= slack + ROUNDED * abs(beyond), f"{said}, is said to be {got.value!r}")
+    note = f"{what} of {beyond!r}, beyond {bound!r}"
+    require(got.reason is reason and got.limit == bound, f"{note}: {got}")
+    require(abs(got.value - beyond) <= slack + ROUNDED * abs(beyond), f"{note}, is said to be {got.value!r}")
     for within in {bound - away, math.nextafter(bound, 2 * bound - far) if not slack else bound - 2 * away}:
         if within == 0.0 or abs(within) >= LEAST_NORMAL:
             got = ask(within)
@@ -198,12 +198,12 @@ def durations(peer: Peer) -> None:
 def path_times(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
 
-    def asked(segment_s: float, dwell_s: float) -> Acknowledgement:
+    def answer_of(segment_s: float, dwell_s: float) -> Acknowledgement:
         return peer.ask(ReferencePath(peer.new_id(), (here,), segment_s, dwell_s), "a path")
 
     for name, ask, far in (
-        *(("segment_s", lambda s: asked(s, 0.0), far) for far in (1e-6, 1e9)),
-        *(("dwell_s", lambda s: asked(0.0, s), far) for far in (-1.0, 1e9)),
+        *(("segment_s", lambda s: answer_of(s, 0.0), far) for far in (1e-6, 1e9)),
+        *(("dwell_s", lambda s: answer_of(0.0, s), far) for far in (-1.0, 1e9)),
     ):
         require(require_edge(ask, Reason.BAD_DURATION, far, name), f"{name} of {far:g} is not BAD_DURATION")
 
@@ -266,8 +266,8 @@ def norms(peer: Peer) -> None:
     for off in (-1.0, -0.5, -1e-3 - 1e-6, 1e-3 + 1e-6, 1.0, 1e150):
         got = reference_reason(peer, scaled(here, 1.0 + off))
         expect_reason(got, Reason.NOT_UNIT_QUATERNION, f"a norm of {1.0 + off}")
-        said = math.isclose(got.value, 1.0 + off, abs_tol=ROUNDED) and got.limit == 1.0
-        require(said, f"a norm of {1.0 + off}: value {got.value}, limit {got.limit}")
+        note = math.isclose(got.value, 1.0 + off, abs_tol=ROUNDED) and got.limit == 1.0
+        require(note, f"a norm of {1.0 + off}: value {got.value}, limit {got.limit}")
     for off in (-1e-3 + 1e-6, 1e-3 - 1e-6, -2.0):
         expect_reason(
             reference_reason(peer, scaled(here, 1.0 + off)), Reason.ACCEPTED, f"a norm of {1.0 + off}"

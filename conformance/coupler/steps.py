@@ -185,13 +185,13 @@ class Play:
         due_ms = 0.0 if step.at_ms is None else step.at_ms
         _wait(self._mark.latest_ms + due_ms - _LOOK_BEFORE_MS - _now_ms())
         while True:
-            asked_ms = _now_ms()
+            request_ms = _now_ms()
             answer = self._by(step.by).ask(pdu)
             if re.fullmatch(pattern, answer.hex()):
                 early_ms = self._mark.earliest_ms + due_ms - _now_ms()
                 require(early_ms <= EARLY_MS, f"{pdu.hex()}: at least {early_ms:.0f} ms before {due_ms:g} ms")
                 return
-            late_ms = asked_ms - self._mark.latest_ms - due_ms
+            late_ms = request_ms - self._mark.latest_ms - due_ms
             why = f"{pdu.hex()}: {answer.hex()}, not {pattern}, {late_ms:.0f} ms after {due_ms:g} ms"
             require(late_ms <= LATE_MS, why)
             _wait(LOOK_EACH_MS)

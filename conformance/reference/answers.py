@@ -175,9 +175,9 @@ def rates(peer: Peer) -> None:
         peer.collect(50)
         halves = [sum(isinstance(d.message, State) for d in peer.collect(span / 2.0)) for _ in range(2)]
         for got in halves:  # one scan in ten may be late, and one STATE at either end
-            asked = span / 2.0 / period
-            said = f"{got} in {span / 2.0:g} ms at a period of {period:g} ms"
-            require(0.9 * asked - 2 <= got <= 1.05 * asked + 2, said)
+            expected_count = span / 2.0 / period
+            note = f"{got} in {span / 2.0:g} ms at a period of {period:g} ms"
+            require(0.9 * expected_count - 2 <= got <= 1.05 * expected_count + 2, note)
         peer.leave()
 
 
@@ -201,5 +201,5 @@ def padding_repeated(peer: Peer) -> None:
         for place in places:
             peer.send_raw(peer.with_number(peer.encoded(request), place, "I", 0xA5A5A5A5))
             again = peer.answer_to(request.command_id, "its repetition")
-            said = f"{again.reason.name}, before {first.reason.name}"
-            require(again == first, f"with rubbish at byte {place}: {said}")
+            note = f"{again.reason.name}, before {first.reason.name}"
+            require(again == first, f"with rubbish at byte {place}: {note}")

@@ -243,5 +243,5 @@ def singular(peer: Peer) -> None:
             within = middle
     peer.command(CommandCode.STOP)
     require(edge.value < edge.limit, f"value {edge.value:g}, limit {edge.limit:g}")
-    said = f"accepted until {edge.value:g}, the limit is said to be {edge.limit:g}"
-    require(edge.value > 0.9 * edge.limit, said)
+    note = f"accepted until {edge.value:g}, the limit is said to be {edge.limit:g}"
+    require(edge.value > 0.9 * edge.limit, note)

@@ -195,8 +195,8 @@ def number_of_the_scan(peer: Peer) -> None:
         judged_ns = scan_ns + cycle_ns + watch.uncertainty_ms * MS
         most = max((n for at_ns, n in given if at_ns <= judged_ns), default=0)
         if least is not None:  # before, there may be none to be named
-            said = f"stream_number {state.stream_number}, the newest of its scan is {least} to {most}"
-            require(least <= state.stream_number <= most, said)
+            note = f"stream_number {state.stream_number}, the newest of its scan is {least} to {most}"
+            require(least <= state.stream_number <= most, note)
 
 
 TURN_RAD, SECONDS, SETTLES_MS = 0.04, 1.2, 700.0
@@ -230,19 +230,19 @@ def _together(a: Sequence[float], b: Sequence[float]) -> float:
 def _require_driven(states: list[State], there: State, what: str) -> None:
     commanded, measured = ([*zip(*rows, strict=True)] for rows in (
         [s.q_cmd for s in states], [s.q_meas for s in states]))  # fmt: skip
-    asked, ways = ([max(each) - min(each) for each in joints] for joints in (commanded, measured))
+    spans, ways = ([max(each) - min(each) for each in joints] for joints in (commanded, measured))
     gains = []
     for j in range(6):
         speeds = [b - a for a, b in pairwise(measured[j])]
         gains.append(_together([s.valves[j] for s in states[1:]], speeds))
-        if asked[j] > MOVES * max(asked):
+        if spans[j] > MOVES * max(spans):
             goes = _together(commanded[j], measured[j])
             require(goes > 0.0, f"{what}: q_meas of joint {j + 1} goes against q_cmd")
-            follows = ways[j] > FOLLOWS * asked[j]
+            follows = ways[j] > FOLLOWS * spans[j]
             require(not follows or gains[j] > 0.0, f"{what}: the valve of joint {j + 1} drives it backwards")
-    mover = max(range(6), key=asked.__getitem__)
+    mover = max(range(6), key=spans.__getitem__)
     for j in (
-        j for j in range(6) if asked[j] < RESTS * asked[mover] and ways[mover] > FOLLOWS * asked[mover]
+        j for j in range(6) if spans[j] < RESTS * spans[mover] and ways[mover] > FOLLOWS * spans[mover]
     ):
         speeds = [b - a for a, b in pairwise(measured[mover])]
         gain = _together([s.valves[j] for s in states[1:]], speeds)
@@ -254,8 +254,8 @@ def _require_driven(states: list[State], there: State, what: str) -> None:
 def _require_near(last: State, what: str) -> None:
     off_m = math.dist(last.X_BT.p_m, last.X_BT_cmd.p_m)
     off_rad = angle_between(last.X_BT.q_wxyz, last.X_BT_cmd.q_wxyz)
-    said = f"{what}: X_BT is {off_m * 1e3:.1f} mm and {off_rad * 1e3:.0f} mrad from X_BT_cmd"
-    require(off_m < NEAR_M and off_rad < NEAR_RAD, said)
+    note = f"{what}: X_BT is {off_m * 1e3:.1f} mm and {off_rad * 1e3:.0f} mrad from X_BT_cmd"
+    require(off_m < NEAR_M and off_rad < NEAR_RAD, note)
 
 
 def _solved(rows: list[list[float]], right: list[float]) -> list[float]:

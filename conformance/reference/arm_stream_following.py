@@ -146,8 +146,8 @@ def sets_out_smoothly(peer: Peer) -> None:
         seconds = (each.scan_ns - begin_ns + peer.welcome.cycle_ns) * 1e-9 + 2e-3
         way = math.dist(each.state.X_BT_cmd.p_m, scene.here.p_m)
         most = _furthest(seconds)
-        said = f"{way * 1e3:.2f} mm within {seconds * 1e3:.0f} ms, at most {most * 1e3:.2f}"
-        require(way < most + 1e-6, said)
+        note = f"{way * 1e3:.2f} mm within {seconds * 1e3:.0f} ms, at most {most * 1e3:.2f}"
+        require(way < most + 1e-6, note)
 
 
 @case(573, "12.8", f"a reference every {GAP_MS:g} ms, or less with a longer cycle, is followed at full pace")

@@ -162,10 +162,10 @@ def verdict(stream: Stream, pose: Pose, **more: Any) -> StreamRefused | None:
     raise Failed(f"reference {number} is neither followed nor refused")
 
 
-def _require_sides(got: StreamRefused, reason: Reason, asked: float, most: float, what: str) -> float:
+def _require_sides(got: StreamRefused, reason: Reason, sent: float, most: float, what: str) -> float:
     """The limit that ``got`` names."""
-    require(got.reason is reason, f"{what} of {asked:g}: {got.reason.name}, wanted {reason.name}")
-    require(abs(got.value - asked) < 0.03 * asked, f"{what} of {asked:g} is said to be {got.value:g}")
+    require(got.reason is reason, f"{what} of {sent:g}: {got.reason.name}, wanted {reason.name}")
+    require(abs(got.value - sent) < 0.03 * sent, f"{what} of {sent:g} is said to be {got.value:g}")
     require(0.0 < got.limit <= most * 1.005, f"{what}: a limit of {got.limit:g}, at most {most:g}")
     return got.limit
 
@@ -253,9 +253,9 @@ def age(peer: Peer) -> None:
         if got is not None and got.reason is Reason.STALE:
             # It left at this age or later, and was judged before its answer came.
             most_ms = ms + (peer.now_ns - begin_ns) / MS
-            said_ms = got.value * 1e3
-            fits = ms - CLOCKS_MS < said_ms < most_ms + CLOCKS_MS
-            require(fits, f"its age is said to be {said_ms:.2f} ms: it is {ms:.2f} to {most_ms:.2f}")
+            stated_ms = got.value * 1e3
+            fits = ms - CLOCKS_MS < stated_ms < most_ms + CLOCKS_MS
+            require(fits, f"its age is said to be {stated_ms:.2f} ms: it is {ms:.2f} to {most_ms:.2f}")
         return got
 
     oldest = known(aged(10_000.0), "10 s old, and followed")

@@ -12,7 +12,7 @@ from conformance.peer import Peer
 from conformance.reference.motion import STEP_M, accepted, disabled, enabled, moved, require_reason
 from conformance.reference.streaming import BOTH, Stream, opened_stream
 from conformance.wire import ANSWER_MS, Failed, Unsupported, require
-from protocol.axes_group import ANSWERS, GROUP_STATE, Asked, Mode, Transition
+from protocol.axes_group import ANSWERS, GROUP_STATE, GroupRequest, Mode, Transition
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import (
@@ -97,7 +97,7 @@ _WAYS: dict[Mode, Callable[[Peer], ReachedMode]] = {
 }
 
 # What only one of two modes that look alike in STATE answers.
-_TOLD_BY = {
+_SHOWN_BY = {
     Mode.STOPPING: (CommandCode.ENABLE, Reason.ALREADY_DONE),
     Mode.DISABLING: (CommandCode.ENABLE, Reason.STOPPING),
     Mode.ERROR_RAMP: (CommandCode.RESET, Reason.STOPPING),
@@ -122,8 +122,8 @@ def require_mode(peer: Peer, mode: Mode, what: str) -> State:
         shown(state, mode),
         f"{what}: STATE shows {state.group_state.name}, flags {state.flags:#x}, not {mode.name}",
     )
-    if mode in _TOLD_BY:
-        code, reason = _TOLD_BY[mode]
+    if mode in _SHOWN_BY:
+        code, reason = _SHOWN_BY[mode]
         got = peer.command(code)
         require(got is reason, f"{what}: not in {mode.name}, where {code.name} is {reason.name}: {got.name}")
     return state
@@ -136,33 +136,33 @@ def is_ramping(state: State) -> bool:
 
 case = reference.case
 FIRST = 800
-COLUMNS = tuple(Asked)
-_OF_STREAMS = (Asked.START_STREAM, Asked.END_STREAM, Asked.STREAMED)
+COLUMNS = tuple(GroupRequest)
+_OF_STREAMS = (GroupRequest.START_STREAM, GroupRequest.END_STREAM, GroupRequest.STREAMED)
 _STILL = (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY)
 # An error's ramp may be over before the question comes; then it is asked again.
 _TRIES = 4
-_TITLES = {Asked.MOVE: "a reference", Asked.STREAMED: "a streamed reference"}
+_TITLES = {GroupRequest.MOVE: "a reference", GroupRequest.STREAMED: "a streamed reference"}
 
 
-def number_of(mode: Mode, asked: Asked) -> int:
+def number_of(mode: Mode, request: GroupRequest) -> int:
     """The case that asks for a cell."""
-    return FIRST + 10 * mode + COLUMNS.index(asked)
+    return FIRST + 10 * mode + COLUMNS.index(request)
 
 
-def title_of(mode: Mode, asked: Asked) -> str:
+def title_of(mode: Mode, request: GroupRequest) -> str:
     """What the case asks."""
-    step = ANSWERS[mode, asked]
+    step = ANSWERS[mode, request]
     leads = "" if step.mode is mode else f" and {step.mode.name}"
-    return f"{_TITLES.get(asked, asked.name)} in {mode.name}: {step.reason.name}{leads}"
+    return f"{_TITLES.get(request, request.name)} in {mode.name}: {step.reason.name}{leads}"
 
 
-def answered(peer: Peer, asked: Asked, scene: ReachedMode) -> Reason:
+def answered(peer: Peer, request: GroupRequest, scene: ReachedMode) -> Reason:
     """The reason that answers; for a streamed reference that is followed, ACCEPTED."""
-    if asked is Asked.STREAMED:
+    if request is GroupRequest.STREAMED:
         return _stream_reason(peer, scene)
-    if asked is Asked.MOVE:
+    if request is GroupRequest.MOVE:
         return peer.ask(ReferencePose(peer.new_id(), scene.goal, 3.0), "a reference").reason
-    return peer.command(CommandCode(asked))
+    return peer.command(CommandCode(request))
 
 
 def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
@@ -177,17 +177,17 @@ def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
     raise Failed("a streamed reference is neither followed nor refused")
 
 
-def ask_cell(peer: Peer, mode: Mode, asked: Asked, step: Transition) -> None:
+def ask_cell(peer: Peer, mode: Mode, request: GroupRequest, step: Transition) -> None:
     """Asks once; raises Failed unless the answer and the next mode are those of ``step``."""
     scene = entered(peer, mode)
-    if asked in _OF_STREAMS and not peer.welcome.capabilities & CAPABILITY_STREAMING:
+    if request in _OF_STREAMS and not peer.welcome.capabilities & CAPABILITY_STREAMING:
         raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     before = peer.state()
     if mode is Mode.ERROR_RAMP and not is_ramping(before):
         raise _Over
-    what = title_of(mode, asked)
-    reason = answered(peer, asked, scene)
-    if asked is Asked.ENABLE and step.reason is Reason.ACCEPTED and reason is Reason.PLANT_NOT_READY:
+    what = title_of(mode, request)
+    reason = answered(peer, request, scene)
+    if request is GroupRequest.ENABLE and step.reason is Reason.ACCEPTED and reason is Reason.PLANT_NOT_READY:
         raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     require(reason is step.reason, f"{what}: answered {reason.name}")
     after = require_mode(peer, step.mode, what)
@@ -200,12 +200,12 @@ class _Over(Exception):
     """The ramp was over before it could be asked in."""
 
 
-def _ask_in_a_ramp(peer: Peer, asked: Asked, step: Transition) -> None:
+def _ask_in_a_ramp(peer: Peer, request: GroupRequest, step: Transition) -> None:
     """As ``ask_cell``, but asked again when the ramp may have ended between the question and the answer."""
     last: Exception = Unsupported("an error's ramp is over before a client can ask in it")
     for _ in range(_TRIES):
         try:
-            ask_cell(peer, Mode.ERROR_RAMP, asked, step)
+            ask_cell(peer, Mode.ERROR_RAMP, request, step)
         except _Over:
             continue
         except Failed as failure:
@@ -215,17 +215,17 @@ def _ask_in_a_ramp(peer: Peer, asked: Asked, step: Transition) -> None:
     raise last
 
 
-def _enter(mode: Mode, asked: Asked, step: Transition) -> None:
+def _enter(mode: Mode, request: GroupRequest, step: Transition) -> None:
     def run(peer: Peer) -> None:
         if mode is Mode.ERROR_RAMP:
-            _ask_in_a_ramp(peer, asked, step)
+            _ask_in_a_ramp(peer, request, step)
         else:
-            ask_cell(peer, mode, asked, step)
+            ask_cell(peer, mode, request, step)
 
     motion = mode not in _STILL or step.mode not in _STILL
-    streams = asked in _OF_STREAMS or mode is Mode.STREAMING
+    streams = request in _OF_STREAMS or mode is Mode.STREAMING
     needs = OptionalPart.STREAMING if streams else None
-    case(number_of(mode, asked), "7.3", title_of(mode, asked), motion=motion, needs=needs)(run)
+    case(number_of(mode, request), "7.3", title_of(mode, request), motion=motion, needs=needs)(run)
 
 
 for _cell, _step in ANSWERS.items():

@@ -138,7 +138,7 @@ def hello_in_order(peer: Peer) -> None:
     peer.reopen()
     other = peer.second()
 
-    def asked(what: str, source: Peer, message: Hello, wanted: list[Message], session: int = 0) -> None:
+    def answers(what: str, source: Peer, message: Hello, wanted: list[Message], session: int = 0) -> None:
         source.sequence += 1
         data = encode(message, Header(session, source.sequence, source.now_ns), peer.hello_key)
         require_greeted(peer, what, source, data, wanted)
@@ -147,12 +147,12 @@ def hello_in_order(peer: Peer) -> None:
         return Hello(nonce, 1 | peer.required, arm_hash, 50)
 
     in_use = peer.session
-    asked("in a session, another arm", peer, hello_of(peer.nonce(), wrong), [], in_use)
-    asked("in a session, another source", other, hello_of(peer.nonce(), 0), [], in_use)
-    asked("replayed, another arm", peer, hello_of(nonce, wrong), [])
-    asked("replayed, another source", other, hello_of(nonce, 0), [])
-    asked("another arm and source", other, hello_of(peer.nonce(), wrong), [Bye(Reason.WRONG_ARM)])
-    asked("another source", other, hello_of(peer.nonce(), 0), [Bye(Reason.SESSION_OCCUPIED)])
+    answers("in a session, another arm", peer, hello_of(peer.nonce(), wrong), [], in_use)
+    answers("in a session, another source", other, hello_of(peer.nonce(), 0), [], in_use)
+    answers("replayed, another arm", peer, hello_of(nonce, wrong), [])
+    answers("replayed, another source", other, hello_of(nonce, 0), [])
+    answers("another arm and source", other, hello_of(peer.nonce(), wrong), [Bye(Reason.WRONG_ARM)])
+    answers("another source", other, hello_of(peer.nonce(), 0), [Bye(Reason.SESSION_OCCUPIED)])
     peer.alive("after these")
 
 

@@ -167,7 +167,7 @@ def key_before_all_else(peer: Peer) -> None:
     other = peer.second()
     session_key = peer.keys_of(peer.session).sends
 
-    def asked(what: str, source: Peer, data: bytes, wanted: list[Message]) -> None:
+    def answers(what: str, source: Peer, data: bytes, wanted: list[Message]) -> None:
         require_greeted(peer, what, source, data, wanted)
 
     def hello(key: DirectionKey | None, arm_hash: int = 0, session: int = 0, number: int = 0) -> bytes:
@@ -179,13 +179,13 @@ def key_before_all_else(peer: Peer) -> None:
         (OTHER_KEY.of_hello(), Reason.UNKNOWN_KEY),
         (session_key, Reason.BAD_TAG),
     ):
-        told: list[Message] = [Bye(reason)]
-        asked(f"{reason.name}, in a session", peer, hello(key, session=peer.session), told)
-        asked(f"{reason.name}, replayed", peer, hello(key, number=nonce), told)
-        asked(f"{reason.name}, another arm", peer, hello(key, wrong), told)
-        asked(f"{reason.name}, another source", other, hello(key), told)
+        byes: list[Message] = [Bye(reason)]
+        answers(f"{reason.name}, in a session", peer, hello(key, session=peer.session), byes)
+        answers(f"{reason.name}, replayed", peer, hello(key, number=nonce), byes)
+        answers(f"{reason.name}, another arm", peer, hello(key, wrong), byes)
+        answers(f"{reason.name}, another source", other, hello(key), byes)
     formless = peer.with_number(hello(None), HEADER_BYTES, "Q", 0)
-    asked("a nonce of 0, not signed", peer, resealed(formless[: HEADER_BYTES + 32]), [])
+    answers("a nonce of 0, not signed", peer, resealed(formless[: HEADER_BYTES + 32]), [])
     peer.alive("after these")
 
 

@@ -177,8 +177,8 @@ def overtaken_by_a_stop(peer: Peer) -> None:
     require(not late, f"{len(late)} requests from before the stop were judged after it")
     for answer in answers:
         if answer.reason is Reason.OVERTAKEN:
-            said = answer.value == answer.command_id and answer.limit > answer.value
-            require(said, f"OVERTAKEN says {answer.value:g} and {answer.limit:g}")
+            right = answer.value == answer.command_id and answer.limit > answer.value
+            require(right, f"OVERTAKEN says {answer.value:g} and {answer.limit:g}")
 
 
 @case(417, "6.14", f"behind {FLOOD} requests the newest is answered within {WAITING} scans and 200 ms")

@@ -239,8 +239,8 @@ def heard_when_it_left(peer: Peer) -> None:
     peer.expect_bye(Reason.LINK_TIMEOUT, "silence behind a heartbeat that was late", 2 * timeout_ms)
     waited_ms = (peer.now_ns - begin_ns) / MS
     require(waited_ms > timeout_ms - 1, f"after {waited_ms:.0f} ms, announced {timeout_ms}")
-    said = f"it ended {waited_ms:.0f} ms after the first heartbeat; the second left 0.05 timeouts later"
-    require(waited_ms < 1.05 * timeout_ms + SLACK_MS, said)
+    note = f"it ended {waited_ms:.0f} ms after the first heartbeat; the second left 0.05 timeouts later"
+    require(waited_ms < 1.05 * timeout_ms + SLACK_MS, note)
 
 
 @case(327, "5.3", "the least transit is kept for 10 to 20 s: after 8 s still, after 21 not (takes 25 s)")

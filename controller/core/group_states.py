@@ -5,7 +5,7 @@ How requests are answered is the protocol's table; what the group does by itself
 
 from enum import IntEnum
 
-from protocol.axes_group import ANSWERS, Asked, Mode, Transition, table_row
+from protocol.axes_group import ANSWERS, GroupRequest, Mode, Transition, table_row
 
 # Modes in which the servo drives the valves; in all others they are centred and the enable is dropped.
 LIVE = frozenset({Mode.STANDBY, Mode.MOVING, Mode.STREAMING, Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP})
@@ -14,16 +14,16 @@ LIVE = frozenset({Mode.STANDBY, Mode.MOVING, Mode.STREAMING, Mode.STOPPING, Mode
 class Stimulus(IntEnum):
     """What can happen to the group: what can be asked, under the same numbers, and its own events."""
 
-    ENABLE = Asked.ENABLE
-    DISABLE = Asked.DISABLE
-    STOP = Asked.STOP
-    RESET = Asked.RESET
-    EMERGENCY_STOP = Asked.EMERGENCY_STOP
-    EMERGENCY_RELEASE = Asked.EMERGENCY_RELEASE
-    START_STREAM = Asked.START_STREAM
-    END_STREAM = Asked.END_STREAM
-    MOVE = Asked.MOVE
-    STREAMED = Asked.STREAMED
+    ENABLE = GroupRequest.ENABLE
+    DISABLE = GroupRequest.DISABLE
+    STOP = GroupRequest.STOP
+    RESET = GroupRequest.RESET
+    EMERGENCY_STOP = GroupRequest.EMERGENCY_STOP
+    EMERGENCY_RELEASE = GroupRequest.EMERGENCY_RELEASE
+    START_STREAM = GroupRequest.START_STREAM
+    END_STREAM = GroupRequest.END_STREAM
+    MOVE = GroupRequest.MOVE
+    STREAMED = GroupRequest.STREAMED
     STANDSTILL = 18  # the desired motion came to rest
     FAULT_STOP = 19  # a fault that leaves the servo trustworthy
     FAULT_EMERGENCY = 20  # a fault that does not, or whose ramp is over
@@ -39,7 +39,7 @@ _OWN = {
 }
 
 TRANSITIONS: dict[tuple[Mode, Stimulus], Transition] = {
-    **{(mode, Stimulus(asked)): step for (mode, asked), step in ANSWERS.items()},
+    **{(mode, Stimulus(request)): step for (mode, request), step in ANSWERS.items()},
     **{(mode, stimulus): step for stimulus, row in _OWN.items() for mode, step in table_row(row).items()},
 }
 

@@ -42,8 +42,8 @@ def follow_reference(
     """The state after a streamed reference, and its refusal if it is not followed."""
     step = transition(state.mode, Stimulus.STREAMED)
     if state.stream is None:
-        asked = arrival.message.stream_id if step.reason is Reason.NOT_STREAMING else 0
-        found: Refusal | tuple[OpenStream, ApproachTrajectory] = Refusal(step.reason, float(asked), 0.0)
+        stream_id = arrival.message.stream_id if step.reason is Reason.NOT_STREAMING else 0
+        found: Refusal | tuple[OpenStream, ApproachTrajectory] = Refusal(step.reason, float(stream_id), 0.0)
     else:
         stands = state.watch.q_meas, state.tool.J_BT
         found = follow(settings, state.stream, state.motion.desired, *stands, arrival, now_ns)

@@ -36,7 +36,7 @@ _STRANGERS_A_CYCLE = 8  # while there is one: enough to refuse a second client
 _ALL = "0.0.0.0"
 _IP_PKTINFO = 8  # of Linux; Python has no name for it before 3.14
 _PACKET_INFO = struct.Struct("=I4s4s")  # interface, our address, the datagram's destination
-_TOLD_BYTES = socket.CMSG_SPACE(_PACKET_INFO.size)
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_PACKET_INFO.size)
 _ADDRESSES = 64
 _RECEIVE_BUFFER_BYTES = 1 << 20  # the kernel grants what it is allowed to
 
@@ -44,7 +44,7 @@ _RECEIVE_BUFFER_BYTES = 1 << 20  # the kernel grants what it is allowed to
 class _Reader:
     """One socket, what was read from it, and how much of that may still be judged in this cycle.
 
-    ``asked``: by source, which of this host's addresses was asked, where the socket listens on all of them.
+    ``local``: by source, which of this host's addresses was asked, where the socket listens on all of them.
     """
 
     def __init__(self, sock: socket.socket) -> None:
@@ -52,7 +52,7 @@ class _Reader:
         self._everywhere = sock.getsockname()[0] == _ALL
         if self._everywhere:
             sock.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
-        self.asked: dict[object, bytes] = {}
+        self.local: dict[object, bytes] = {}
         self.arrivals = Arrivals()
         self.left = 0
         self.paused = False
@@ -63,7 +63,7 @@ class _Reader:
         for _ in range(most):
             try:
                 if self._everywhere:
-                    data, ancillary, _, source = self.socket.recvmsg(MAX_DATAGRAM_BYTES + 1, _TOLD_BYTES)
+                    data, ancillary, _, source = self.socket.recvmsg(MAX_DATAGRAM_BYTES + 1, _ANCILLARY_BYTES)
                     self._note(source, ancillary)
                 else:
                     data, source = self.socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
@@ -76,10 +76,10 @@ class _Reader:
 
     def _note(self, source: object, ancillary: list[tuple[int, int, bytes]]) -> None:
         """Remember which of our addresses ``source`` asked; of strangers the newest few."""
-        self.asked.pop(source, None)
-        self.asked[source] = _PACKET_INFO.unpack(ancillary[0][2])[1]
-        if len(self.asked) > _ADDRESSES:
-            del self.asked[next(iter(self.asked))]
+        self.local.pop(source, None)
+        self.local[source] = _PACKET_INFO.unpack(ancillary[0][2])[1]
+        if len(self.local) > _ADDRESSES:
+            del self.local[next(iter(self.local))]
 
 
 class ReferencePort:
@@ -97,7 +97,7 @@ class ReferencePort:
         self._inbox = Inbox()
         self._peers: _Reader | None = None
         self._peer: object = None  # whom it is connected to; kept after the session, for who greets at once
-        self._peer_asked: dict[object, bytes] = {}  # kept while strangers fill the other one
+        self._peer_local: dict[object, bytes] = {}  # kept while strangers fill the other one
         self._socket = bound_udp(config.host, config.port, "controller.reference_link")
         _enlarge(self._socket)
         self._everybodys = _Reader(self._socket)
@@ -200,7 +200,7 @@ class ReferencePort:
         for data, source in self.server.outgoing(clock.now_ns()):
             clock.current().sent = True
             with contextlib.suppress(OSError):  # the peer's absence is found by its silence
-                at = self._everybodys.asked.get(source) or self._peer_asked.get(source)
+                at = self._everybodys.local.get(source) or self._peer_local.get(source)
                 if at is None:
                     self._socket.sendto(data, source)  # type: ignore[call-overload]
                 else:  # an answer leaves from the address that was asked
@@ -226,11 +226,11 @@ class ReferencePort:
 
     def _part(self, peer: object) -> None:
         """A socket of the peer's own, from now on; without one all share the first, as before."""
-        at = self._everybodys.asked.get(peer)
-        if self._peers is not None and peer == self._peer and at in (None, self._peer_asked.get(peer)):
+        at = self._everybodys.local.get(peer)
+        if self._peers is not None and peer == self._peer and at in (None, self._peer_local.get(peer)):
             return
         self._rejoin()
-        self._peer_asked = {} if at is None else {peer: at}
+        self._peer_local = {} if at is None else {peer: at}
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         own.setblocking(False)
         _enlarge(own)
@@ -250,7 +250,7 @@ class ReferencePort:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
     def _rejoin(self) -> None:
-        self._peer_asked = {}
+        self._peer_local = {}
         if self._peers is not None:
             own, self._peers = self._peers, None
             self._unwatch(own)

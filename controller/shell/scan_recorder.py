@@ -91,10 +91,10 @@ class TrialRecords:
             self._keep(plan, f"trial_{name}.jsonl")
         elif trials.excitation is None or trials.excitation.phase is Phase.ENDED:
             name = JOINT_NAMES[plan.strokes[self._stroke].joint]
-            trouble = trials.trouble
+            failure = trials.failure
             broken = {"cause": "commissioning.stopped", "joint": name, "value": 0.0, "limit": 0.0}
-            if trouble is not None:
-                broken = trouble._asdict() | {"joint": JOINT_NAMES[trouble.joint]}
+            if failure is not None:
+                broken = failure._asdict() | {"joint": JOINT_NAMES[failure.joint]}
             self._summary = self._summary | {"ended_by": broken}
             self._keep(plan, f"trial_{name}_unfinished.jsonl")
         self._stroke = trials.stroke
@@ -196,8 +196,8 @@ def _frames_bytes(view: ControllerView) -> bytes:
     return posed(known, view.time_ns)
 
 
-def _log_bytes(said: tuple[int, Level, ScanEvent]) -> bytes:
-    now_ns, level, event = said
+def _log_bytes(entry: tuple[int, Level, ScanEvent]) -> bytes:
+    now_ns, level, event = entry
     return log_line(
         now_ns, level, "controller", f"{event.name}: {event.cause} {event.value:g} ({event.limit:g})"
     )

@@ -24,7 +24,7 @@ from controller.core.scan_types import (
     ScanState,
     to_state,
 )
-from controller.shell.controller_figures import FIGURES
+from controller.shell.controller_metrics import METRICS
 from controller.shell.cyclic_task import CyclicTask, warm_up
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
@@ -37,7 +37,7 @@ from foundation.periods import DurationHistogram, percent_missed, take_fifo
 from foundation.recording.beginning import recording_directory
 from foundation.secret_source import read_key
 from foundation.self_watch import DiskWatch, resident_mb
-from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
+from foundation.service_main import ServiceOptions, on_termination, say_ready
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError, ImageRefused
 from protocol.faults import CommandCode, FaultCode
@@ -111,13 +111,13 @@ class ControllerService:
         self._late_p50_us, self._late_p99_us = 0, 0
         self._percentiles_due_ns = 0
         self._stop_by_ns: int | None = None
-        self._asked_to_leave = False
+        self._leave_requested = False
         self._dump_due_ns: int | None = None
         self._dumps: list[asyncio.Task[None]] = []
 
     async def run(self) -> int:
         """Serve until SIGTERM or SIGINT, then ramp down, centre the valves and say goodbye."""
-        when_asked_to_end(self._asked_to_stop)
+        on_termination(self._stop_requested)
         following = clock.followed()
         warm_up(self._program.settings)
         if following is not None:
@@ -146,9 +146,9 @@ class ControllerService:
         await self._task.second_part()  # what comes meanwhile is in this scan too
         now_ns = clock.now_ns()
         requests, alive = self._reference.take(now_ns)
-        leaving = self._stop_by_ns is not None and not self._asked_to_leave
+        leaving = self._stop_by_ns is not None and not self._leave_requested
         if leaving:
-            self._asked_to_leave = True
+            self._leave_requested = True
             requests = (*requests, Command(0, CommandCode.DISABLE))
         streamed = self._reference.take_streamed()
         inputs = ScanInput(now_ns, sensed_ns, dt_ns * 1e-9, sensors, requests, alive, streamed)
@@ -221,7 +221,7 @@ class ControllerService:
         job = dump(self._record_dir, fault.name, number, tuple(self._flown), self._log)
         self._dumps.append(asyncio.ensure_future(job))
 
-    def _asked_to_stop(self) -> None:
+    def _stop_requested(self) -> None:
         if self._stop_by_ns is None:
             self._stop_by_ns = clock.now_ns() + round(_SHUTDOWN_S * 1e9)
             # Also where the plant's time stands.
@@ -280,8 +280,8 @@ class ControllerService:
             Spread("scan_duration_seconds", "How long scans computed.", self._scan_times),
             Spread("plant_round_trip_seconds", "Exchanges with the plant.", self._plant.round_trip),
         )
-        figures = self._gathered() | {"log_lines_dropped": self._log.dropped}
-        return exposition("controller", FIGURES, figures, spreads)
+        values = self._gathered() | {"log_lines_dropped": self._log.dropped}
+        return exposition("controller", METRICS, values, spreads)
 
     def _gathered(self) -> dict[str, Any]:
         served, missed = self._task.lateness.count, self._task.overruns

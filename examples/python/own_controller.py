@@ -152,18 +152,18 @@ class Vision:
 
 controller = OwnController()
 vision = Vision(controller.socket.getsockname())
-now_ns, said, way = 0, 0, []
+now_ns, sent_data, way = 0, 0, []
 
 
 def until(happened, limit_s: float) -> None:
     """Let both ends work until something has happened; time passes in steps of a cycle."""
-    global now_ns, said
+    global now_ns, sent_data
     end_ns = now_ns + round(1e9 * limit_s)
     while not happened():
         if now_ns > end_ns:
             raise TimeoutError(f"not within {limit_s} s of the arm's time")
         now_ns += CYCLE_NS
-        said = vision.cycle(now_ns, controller.cycle(now_ns, said))
+        sent_data = vision.cycle(now_ns, controller.cycle(now_ns, sent_data))
         way.append((1e-9 * now_ns, *controller.plant.truth.X_BT[:3, 3]))
 
 
@@ -178,8 +178,8 @@ with controller.socket, vision.socket:
     moving = vision.link.submit(ReferencePose(0, goal, 0.0), now_ns)
     until(lambda: vision.state.motion_id == moving and vision.state.motion_done, 30.0)
 
-for asked, answer in zip(("pose", "enable", "pose"), vision.answers, strict=True):
-    print(f"{asked}: {answer.reason.name}")
+for what, answer in zip(("pose", "enable", "pose"), vision.answers, strict=True):
+    print(f"{what}: {answer.reason.name}")
 times, *axes_m = np.array(way).T
 seen_mm, true_mm = (
     1e3 * np.linalg.norm(np.subtract(place, goal.p_m)) for place in (vision.state.X_BT.p_m, way[-1][1:])

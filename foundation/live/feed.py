@@ -50,11 +50,11 @@ class LiveFeed:
         service: str,
         log: EventLog,
         connect: Callable[[], socket.socket],
-        figures: Callable[[], str],
+        metrics: Callable[[], str],
         fifo_priority: int = 0,
         own: "OwnFace | None" = None,
     ) -> None:
-        """``figures`` returns what Prometheus is told; it is called by the feed's thread, when asked.
+        """``metrics`` returns what Prometheus is told; it is called by the feed's thread, when asked.
         ``own``: the face, where it is of this service alone: it ends with the feed.
 
         ``connect`` raises OSError where there is no face; it is tried again every second.
@@ -62,7 +62,7 @@ class LiveFeed:
         self._service = service
         self._log = log
         self._connect = connect
-        self._figures = figures
+        self._metrics = metrics
         self._fifo_priority = min(fifo_priority, 1)
         self._own = own
         self._topics: Sequence[Topic] = ()
@@ -152,7 +152,7 @@ class LiveFeed:
 
     def _serve(self, link: socket.socket) -> None:
         """Feed one connection until it ends."""
-        asked = b""
+        unread = b""
         waited: list[Any] = [link, self._wake]
         while not self._ending.is_set():
             readable, _, _ = select.select(waited, [], [])
@@ -163,24 +163,24 @@ class LiveFeed:
                 data = link.recv(1 << 16)
                 if not data:
                     return
-                *lines, asked = (asked + data).split(b"\n")
+                *lines, unread = (unread + data).split(b"\n")
                 for line in lines:
                     self._answer(link, json.loads(line))
             while (taken := self._queue.take()) is not None:
                 self._send(link, *taken)
 
-    def _answer(self, link: socket.socket, said: dict[str, Any]) -> None:
-        if "wanted" in said:
-            self._wanted = frozenset(said["wanted"])
-            for topic in sorted(self._once.keys() & said["again"]):
+    def _answer(self, link: socket.socket, document: dict[str, Any]) -> None:
+        if "wanted" in document:
+            self._wanted = frozenset(document["wanted"])
+            for topic in sorted(self._once.keys() & document["again"]):
                 self._send(link, topic, self._once[topic])
         else:
-            link.sendall(wire.frame(wire.FIGURES, self._figures_text().encode()))
+            link.sendall(wire.frame(wire.METRICS, self._metrics_text().encode()))
 
-    def _figures_text(self) -> str:
+    def _metrics_text(self) -> str:
         for _ in range(3):
             try:
-                return self._figures()
+                return self._metrics()
             except Exception as error:  # such as a table that the loop was adding to, or a part not yet made
                 why = repr(error)
         self._log.write_repeated("figures", "live_failed", "warning", cause="internal", detail=why)
@@ -198,7 +198,7 @@ class LiveFeed:
         link.sendall(wire.frame(wire.MESSAGE, data, topic, log_ns))
 
 
-def shared_face(name: str) -> socket.socket:
+def shared_server(name: str) -> socket.socket:
     """A connection to the face that listens at the abstract socket ``name``. Raises OSError."""
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -257,7 +257,7 @@ def open_show(
     settings: LiveSettings,
     setting: str,
     log: EventLog,
-    figures: Callable[[], str],
+    metrics: Callable[[], str],
     fifo_priority: int = 0,
     environment: Mapping[str, str] = os.environ,
 ) -> LiveFeed | None:
@@ -267,8 +267,8 @@ def open_show(
     Raises ConfigurationError as ``OwnFace`` does.
     """
     if name := environment.get(SHARED_VARIABLE):
-        return LiveFeed(service, log, partial(shared_face, name), figures, fifo_priority)
+        return LiveFeed(service, log, partial(shared_server, name), metrics, fifo_priority)
     if settings.port is None:
         return None
     own = OwnFace(service, settings, setting)
-    return LiveFeed(service, log, own.connect, figures, fifo_priority, own)
+    return LiveFeed(service, log, own.connect, metrics, fifo_priority, own)

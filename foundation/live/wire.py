@@ -19,7 +19,7 @@ MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _BOUNDS_US = (50, 100, 200, 500, 1000, 2000, 3000, 5000, 10_000, 20_000, 50_000)
 
 
-class Figure(NamedTuple):
+class Series(NamedTuple):
     """One figure: ``path`` leads to it in the service's statistics, ``name`` is told with the base unit of
     Prometheus after it, ``scale`` makes that unit of what the statistics have.
 
@@ -42,44 +42,44 @@ class Spread(NamedTuple):
     durations: DurationHistogram
 
 
-def counters(path: str, name: str, keys: Iterable[str], text: str) -> tuple[Figure, ...]:
+def counters(path: str, name: str, keys: Iterable[str], text: str) -> tuple[Series, ...]:
     """A counter for each of ``keys`` below ``path``, ``text`` with the key in it for ``{}``."""
     return tuple(
-        Figure(f"{path}.{key}", f"{name}_{key}_total", text.format(key.replace("_", " "))) for key in keys
+        Series(f"{path}.{key}", f"{name}_{key}_total", text.format(key.replace("_", " "))) for key in keys
     )
 
 
 def exposition(
-    service: str, table: Sequence[Figure], figures: Mapping[str, Any], spreads: Sequence[Spread] = ()
+    service: str, table: Sequence[Series], metrics: Mapping[str, Any], spreads: Sequence[Spread] = ()
 ) -> str:
-    """Every figure of ``table`` that ``figures`` have, as ``longreach_SERVICE_NAME``.
+    """Every figure of ``table`` that ``metrics`` have, as ``longreach_SERVICE_NAME``.
 
     What is absent, or a word, has no sample: a figure that is not known is not zero.
     """
     prefix = f"longreach_{service}"
-    families = [*_metrics_of(prefix, table, figures), *_spread(prefix, spreads)]
+    families = [*_metrics_of(prefix, table, metrics), *_spread(prefix, spreads)]
     collected: Any = SimpleNamespace(collect=lambda: families)
     return generate_latest(collected).decode()
 
 
-def value_at(figures: Mapping[str, Any], path: str) -> Any:
+def value_at(metrics: Mapping[str, Any], path: str) -> Any:
     """What stands at ``path`` in nested tables; None where nothing does."""
-    found: Any = figures
+    found: Any = metrics
     for part in path.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
     return found
 
 
-def _metrics_of(prefix: str, table: Sequence[Figure], figures: Mapping[str, Any]) -> Iterator[Metric]:
-    for figure in table:
-        value = value_at(figures, figure.path)
-        kind = CounterMetricFamily if figure.name.endswith("_total") else GaugeMetricFamily
-        family = kind(f"{prefix}_{figure.name}", figure.help, labels=[figure.label] if figure.label else [])
-        if figure.label and isinstance(value, Mapping):
+def _metrics_of(prefix: str, table: Sequence[Series], metrics: Mapping[str, Any]) -> Iterator[Metric]:
+    for series in table:
+        value = value_at(metrics, series.path)
+        kind = CounterMetricFamily if series.name.endswith("_total") else GaugeMetricFamily
+        family = kind(f"{prefix}_{series.name}", series.help, labels=[series.label] if series.label else [])
+        if series.label and isinstance(value, Mapping):
             for key, item in value.items():
-                family.add_metric([str(key)], figure.scale * item)
+                family.add_metric([str(key)], series.scale * item)
         elif isinstance(value, int | float):
-            family.add_metric([], figure.scale * value)
+            family.add_metric([], series.scale * value)
         if family.samples:
             yield family
 
@@ -95,7 +95,7 @@ def _spread(prefix: str, spreads: Sequence[Spread]) -> Iterator[Metric]:
 
 
 HEAD = struct.Struct("<BIQI")
-HELLO, MESSAGE, FIGURES = range(3)
+HELLO, MESSAGE, METRICS = range(3)
 MOST = 1 << 26  # bytes of a frame: a raw picture has 2.8 million
 SHARED_VARIABLE = "LONGREACH_LIVE"  # the face that several services share, by its abstract socket
 
@@ -135,8 +135,8 @@ class Subscriptions(NamedTuple):
 
 def server_info(name: str, session: str) -> str:
     """The first message of a server. It has no capabilities: nothing can be set, called or published."""
-    said = {"op": "serverInfo", "name": name, "capabilities": [], "metadata": {}, "sessionId": session}
-    return json.dumps(said)
+    document = {"op": "serverInfo", "name": name, "capabilities": [], "metadata": {}, "sessionId": session}
+    return json.dumps(document)
 
 
 def advertise(channels: Iterable[Mapping[str, Any]]) -> str:
@@ -163,18 +163,18 @@ def subscriptions(message: str | bytes) -> Subscriptions:
     """What a viewer's message asks for. Raises ValueError for what is none of this server's business."""
     if isinstance(message, bytes):
         raise ValueError("this server takes no data")
-    said: Any = json.loads(message)
-    if not isinstance(said, dict):
+    document: Any = json.loads(message)
+    if not isinstance(document, dict):
         raise ValueError("not an object")
     try:
-        if said.get("op") == "subscribe":
-            wanted = said["subscriptions"]
+        if document.get("op") == "subscribe":
+            wanted = document["subscriptions"]
             return Subscriptions({_number(each["id"]): _number(each["channelId"]) for each in wanted}, ())
-        if said.get("op") == "unsubscribe":
-            return Subscriptions({}, tuple(_number(number) for number in said["subscriptionIds"]))
+        if document.get("op") == "unsubscribe":
+            return Subscriptions({}, tuple(_number(number) for number in document["subscriptionIds"]))
     except (KeyError, TypeError) as error:
-        raise ValueError(f"{said['op']}: {error!r}") from error
-    raise ValueError(f"operation {str(said.get('op'))[:40]!r} is not served")
+        raise ValueError(f"{document['op']}: {error!r}") from error
+    raise ValueError(f"operation {str(document.get('op'))[:40]!r} is not served")
 
 
 def _number(value: Any) -> int:

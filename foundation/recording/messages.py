@@ -142,18 +142,18 @@ EventMessage = message_class(
 )
 
 
-def event_bytes(said: Mapping[str, Any]) -> bytes:
-    """longreach.Event of ``event`` and whatever else ``said`` holds."""
-    rest = {name: value for name, value in said.items() if name != "event"}
+def event_bytes(content: Mapping[str, Any]) -> bytes:
+    """longreach.Event of ``event`` and whatever else ``content`` holds."""
+    rest = {name: value for name, value in content.items() if name != "event"}
     text = json.dumps(rest, separators=(",", ":"), default=str)
-    return bytes(EventMessage(event=said["event"], fields_json=text).SerializeToString())
+    return bytes(EventMessage(event=content["event"], fields_json=text).SerializeToString())
 
 
 def fields_of(data: bytes) -> dict[str, Any]:
     """What ``event_bytes`` was given."""
-    said = EventMessage.FromString(data)
-    fields: dict[str, Any] = json.loads(said.fields_json)
-    return {"event": said.event} | fields
+    content = EventMessage.FromString(data)
+    fields: dict[str, Any] = json.loads(content.fields_json)
+    return {"event": content.event} | fields
 
 
 def format_of(message: Any) -> Format:
@@ -201,20 +201,20 @@ def posed(frames: Iterable[tuple[str, str, Sequence[float], Sequence[float]]], t
     """foxglove.FrameTransforms at ``time_ns`` of frames, each parent, child, position (3,) and quaternion
     w, x, y, z.
     """
-    said = FrameTransforms()
+    content = FrameTransforms()
     for parent, child, p, q_wxyz in frames:
-        made = said.transforms.add(parent_frame_id=parent, child_frame_id=child)
+        made = content.transforms.add(parent_frame_id=parent, child_frame_id=child)
         put_time(made.timestamp, time_ns)
         made.translation.x, made.translation.y, made.translation.z = p
         made.rotation.w, made.rotation.x, made.rotation.y, made.rotation.z = q_wxyz
-    return bytes(said.SerializeToString())
+    return bytes(content.SerializeToString())
 
 
 def log_line(time_ns: int, level: str, name: str, message: str) -> bytes:
     """foxglove.Log: ``level`` is info, warning or error, ``name`` who says it."""
-    said = Log(level=LEVELS[level], message=message, name=name)
-    put_time(said.timestamp, time_ns)
-    return bytes(said.SerializeToString())
+    content = Log(level=LEVELS[level], message=message, name=name)
+    put_time(content.timestamp, time_ns)
+    return bytes(content.SerializeToString())
 
 
 WallMessage = message_class("Wall", (MessageField("unix_ns", "int64"),))

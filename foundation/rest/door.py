@@ -262,7 +262,7 @@ class DoorConnection(asyncio.Protocol):
         if head is None:
             return None
         stop = self._door.stop_of(head.target)
-        refusal = self._door.guard.refusal(self._asked(head, stop))
+        refusal = self._door.guard.refusal(self._guarded_request(head, stop))
         if refusal is not None:
             self._refuse(refusal, head)
         elif stop is not None and head.method == "OPTIONS":
@@ -280,7 +280,7 @@ class DoorConnection(asyncio.Protocol):
             return head
         return None
 
-    def _asked(self, head: Head, stop: str | None) -> GuardedRequest:
+    def _guarded_request(self, head: Head, stop: str | None) -> GuardedRequest:
         secure = head.values(b"x-forwarded-proto") == [b"https"] and self.address in ("127.0.0.1", "::1")
         scheme = "https" if secure else "http"
         return GuardedRequest(
@@ -289,9 +289,9 @@ class DoorConnection(asyncio.Protocol):
 
     def _refuse(self, refusal: Refusal, head: Head | None = None) -> None:
         """What is refused is not read: the connection ends."""
-        said = answer(refusal["status"], refusal, keeps=False)
+        response = answer(refusal["status"], refusal, keeps=False)
         only_head = head is not None and head.method == "HEAD"
-        self._transport.write(said.partition(b"\r\n\r\n")[0] + b"\r\n\r\n" if only_head else said)
+        self._transport.write(response.partition(b"\r\n\r\n")[0] + b"\r\n\r\n" if only_head else response)
         self._close()
 
     async def _answer(self, head: Head, body: bytes, whole: bool) -> None:
@@ -311,7 +311,7 @@ class DoorConnection(asyncio.Protocol):
 
     async def _relay(self, head: Head, body: bytes, keeps: bool) -> bool:
         """Have the service answer, and hand its answer on; whether the connection is kept."""
-        role = self._door.guard.role_of(self._asked(head, None)) or ""
+        role = self._door.guard.role_of(self._guarded_request(head, None)) or ""
         async with self._door.slots.slot() as leave:
             try:
                 reader, writer = await asyncio.open_unix_connection(self._door.service, limit=_PIECE)

@@ -27,17 +27,17 @@ class PageFiles(StaticFiles):
         policy = (
             PAGE_POLICY.replace("connect-src 'self'", f"connect-src 'self' {asks}") if asks else PAGE_POLICY
         )
-        self._said = {"Content-Security-Policy": policy, "Cache-Control": "no-cache"}
+        self._headers = {"Content-Security-Policy": policy, "Cache-Control": "no-cache"}
 
     def file_response(self, *given: Any, **named: Any) -> Response:
         """The response that serves a file, or says that the client has it."""
         response = super().file_response(*given, **named)
-        response.headers.update(self._said)
+        response.headers.update(self._headers)
         return response
 
     def index_response(self) -> Response:
         """The page itself."""
-        return FileResponse(self.folder / "index.html", headers=self._said)
+        return FileResponse(self.folder / "index.html", headers=self._headers)
 
 
 def public_paths(folder: Path, at: str, index: str) -> frozenset[str]:

@@ -95,21 +95,21 @@ class Guard:
         self._access, self._refusals = access, refusals
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
 
-    def refusal(self, asked: GuardedRequest) -> Refusal | None:
+    def refusal(self, request: GuardedRequest) -> Refusal | None:
         """Why a request is refused, with what to do about it; None when it may go on."""
-        refusal = self._refusal_of_sender(asked) or (
-            self._refusal_by_token(asked) if self._access.tokens else None
+        refusal = self._refusal_of_sender(request) or (
+            self._refusal_by_token(request) if self._access.tokens else None
         )
-        return None if refusal is None else self.counted(refusal, asked.client)
+        return None if refusal is None else self.counted(refusal, request.client)
 
     def counted(self, refusal: Refusal, client: str) -> Refusal:
         """A refusal that is counted, and says what to do about it."""
         self._refusals.tell(refusal, client)
         return advised(refusal, self._access.advise)
 
-    def role_of(self, asked: GuardedRequest) -> Role | None:
+    def role_of(self, request: GuardedRequest) -> Role | None:
         """Of whoever asks; None where no token is wanted, and without one of ours, or with two."""
-        given = asked.values(b"authorization")
+        given = request.values(b"authorization")
         if len(given) != 1:
             return None
         presented = _presented_token(given[0])
@@ -118,39 +118,41 @@ class Guard:
         matching = [role for role, token in tokens if hmac.compare_digest(token, presented)]
         return matching[0] if matching else None
 
-    def _refusal_by_token(self, asked: GuardedRequest) -> Refusal | None:
+    def _refusal_by_token(self, request: GuardedRequest) -> Refusal | None:
         """Why the Authorization header does not do, before the body is read."""
-        if asked.method in _READING and asked.path in self._access.public:
+        if request.method in _READING and request.path in self._access.public:
             return None
-        if not asked.values(b"authorization"):
+        if not request.values(b"authorization"):
             why = "this service wants a token: Authorization: Bearer TOKEN"
-            return asked.refused(HTTPStatus.UNAUTHORIZED, "refused.no_token", why)
-        role = self.role_of(asked)
+            return request.refused(HTTPStatus.UNAUTHORIZED, "refused.no_token", why)
+        role = self.role_of(request)
         if role is None:
             why = "the token is none of this service's"
-            return asked.refused(HTTPStatus.UNAUTHORIZED, "refused.wrong_token", why)
-        if role is Role.LOOK and asked.method not in _READING and asked.path not in self._access.stops:
-            why = f"{asked.method} wants the token of {Role.OPERATE}; this one is of {Role.LOOK}"
-            return asked.refused(HTTPStatus.FORBIDDEN, "refused.role", why)
+            return request.refused(HTTPStatus.UNAUTHORIZED, "refused.wrong_token", why)
+        if role is Role.LOOK and request.method not in _READING and request.path not in self._access.stops:
+            why = f"{request.method} wants the token of {Role.OPERATE}; this one is of {Role.LOOK}"
+            return request.refused(HTTPStatus.FORBIDDEN, "refused.role", why)
         return None
 
-    def _refusal_of_sender(self, asked: GuardedRequest) -> Refusal | None:
+    def _refusal_of_sender(self, request: GuardedRequest) -> Refusal | None:
         senders, others = self._access.senders, self._access.allowed_origins
-        if senders is not None and asked.client not in senders:
-            detail = f"without tokens only this machine may ask, not {asked.client}: unset LONGREACH_NO_TOKEN"
-            return asked.refused(HTTPStatus.FORBIDDEN, "refused.other_machine", detail)
-        hosts = asked.values(b"host")
-        if len(hosts) != 1 or not self._is_ours(hosts[0], asked.server):
+        if senders is not None and request.client not in senders:
+            detail = (
+                f"without tokens only this machine may ask, not {request.client}: unset LONGREACH_NO_TOKEN"
+            )
+            return request.refused(HTTPStatus.FORBIDDEN, "refused.other_machine", detail)
+        hosts = request.values(b"host")
+        if len(hosts) != 1 or not self._is_ours(hosts[0], request.server):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"
-            return asked.refused(HTTPStatus.MISDIRECTED_REQUEST, "refused.foreign_host", detail)
-        origins = [origin.lower() for origin in asked.values(b"origin")]
-        own = f"{asked.scheme}://{hosts[0]}".lower()
+            return request.refused(HTTPStatus.MISDIRECTED_REQUEST, "refused.foreign_host", detail)
+        origins = [origin.lower() for origin in request.values(b"origin")]
+        own = f"{request.scheme}://{hosts[0]}".lower()
         foreign = [f"a page of {origin[:80]}" for origin in origins if origin not in (own, *others)]
-        sites = asked.values(b"sec-fetch-site") if others.isdisjoint(origins) else ()
+        sites = request.values(b"sec-fetch-site") if others.isdisjoint(origins) else ()
         foreign += [f"a page of another origin ({s[:20]})" for s in sites if s.lower() not in _OWN_SITE]
         if foreign:
             why = f"{foreign[0]} may not ask this service"
-            return asked.refused(HTTPStatus.FORBIDDEN, "refused.foreign_origin", why)
+            return request.refused(HTTPStatus.FORBIDDEN, "refused.foreign_origin", why)
         return None
 
     def _is_ours(self, host: str, reached: str) -> bool:

@@ -58,8 +58,8 @@ class Head(NamedTuple):
     @property
     def keeps(self) -> bool:
         """Whether the client wants to use the connection again."""
-        said = b",".join(self.values(b"connection")).lower()
-        return b"close" not in said and (self.minor > 0 or b"keep-alive" in said)
+        options = b",".join(self.values(b"connection")).lower()
+        return b"close" not in options and (self.minor > 0 or b"keep-alive" in options)
 
     @property
     def expects(self) -> bool:
@@ -135,19 +135,19 @@ def _field(line: bytes) -> tuple[bytes, bytes]:
 
 
 def _length(fields: Fields) -> int:
-    said = [value for name, value in fields if name == b"content-length"]
+    lengths = [value for name, value in fields if name == b"content-length"]
     coded = any(name == b"transfer-encoding" for name, _ in fields)
-    if len(said) > 1 or (said and coded):
+    if len(lengths) > 1 or (lengths and coded):
         why = "two lengths in one request: where it ends is nowhere written"
         raise RequestUnreadable(HTTPStatus.BAD_REQUEST, "request.ambiguous_length", why)
     if coded:
         why = "a body in chunks is not taken: announce its Content-Length"
         raise RequestUnreadable(HTTPStatus.LENGTH_REQUIRED, "request.length_wanted", why)
-    if not said:
+    if not lengths:
         return 0
-    if re.fullmatch(rb"[0-9]{1,18}", said[0]) is None:
-        raise _malformed(f"Content-Length: {said[0][:40]!r} is no length")
-    return int(said[0])
+    if re.fullmatch(rb"[0-9]{1,18}", lengths[0]) is None:
+        raise _malformed(f"Content-Length: {lengths[0][:40]!r} is no length")
+    return int(lengths[0])
 
 
 def _own_target(target: str, fields: Fields) -> tuple[str, Fields]:
@@ -187,12 +187,12 @@ class Framed(NamedTuple):
     keeps: bool
 
 
-def framed(said: bytes, head: Head, keeps: bool) -> Framed:
+def framed(head_bytes: bytes, head: Head, keeps: bool) -> Framed:
     """The head ``said`` of a service's answer as the client of ``head`` is to have it.
 
     Every answer carries SECURITY_HEADERS and a content policy where the service sets no others.
     """
-    line, *lines = said.removesuffix(b"\r\n\r\n").split(b"\r\n")
+    line, *lines = head_bytes.removesuffix(b"\r\n\r\n").split(b"\r\n")
     fields = [(name.lower(), each) for each in lines for name, _, _ in (each.partition(b":"),)]
     status = int(line.split(b" ")[1])
     lengths = [int(each.partition(b":")[2]) for name, each in fields if name == b"content-length"]
@@ -212,16 +212,16 @@ def framed(said: bytes, head: Head, keeps: bool) -> Framed:
 def answer(status: int, document: dict[str, Any] | None, keeps: bool, **fields: str) -> bytes:
     """A whole answer of our own; ``document``: None: none. An error is a problem document."""
     body = b"" if document is None else json.dumps(document).encode()
-    said = [*DATA_HEADERS.items(), *((name.replace("_", "-"), value) for name, value in fields.items())]
+    named = [*DATA_HEADERS.items(), *((name.replace("_", "-"), value) for name, value in fields.items())]
     if document is not None:
-        said += [("Content-Type", MEDIA_TYPE if status >= HTTPStatus.BAD_REQUEST else "application/json")]
+        named += [("Content-Type", MEDIA_TYPE if status >= HTTPStatus.BAD_REQUEST else "application/json")]
     if status != HTTPStatus.NO_CONTENT:
-        said += [("Content-Length", str(len(body)))]
+        named += [("Content-Length", str(len(body)))]
     if status == HTTPStatus.UNAUTHORIZED:
-        said += _CHALLENGES
+        named += _CHALLENGES
     if status == HTTPStatus.SERVICE_UNAVAILABLE:
-        said += [("Retry-After", "1")]
-    lines = [f"HTTP/1.1 {status} {HTTPStatus(status).phrase}", *(f"{name}: {value}" for name, value in said)]
+        named += [("Retry-After", "1")]
+    lines = [f"HTTP/1.1 {status} {HTTPStatus(status).phrase}", *(f"{name}: {value}" for name, value in named)]
     return "\r\n".join(lines).encode() + b"\r\n" + _connection(keeps) + b"\r\n\r\n" + body
 
 

@@ -65,7 +65,7 @@ SECURITY_HEADERS = {
     "Cache-Control": "no-store",
 }
 DATA_HEADERS = SECURITY_HEADERS | {"Content-Security-Policy": DATA_POLICY}
-_SOURCES_TOLD = 256  # apart; those who come later are told together
+_MOST_SOURCES = 256  # apart; those who come later are told together
 Refusal = dict[str, Any]  # a problem document
 Advise = Callable[[str], str]
 """Cause → what to do about it."""
@@ -90,7 +90,7 @@ class RefusalLog:
         self.counts[cause] += count
         if self._log is None:
             return
-        if len(self._sources) < _SOURCES_TOLD:
+        if len(self._sources) < _MOST_SOURCES:
             self._sources.add(source)
         kind = cause, source if source in self._sources else None
         fields = {"cause": cause, "detail": refusal["detail"], "source": source}

@@ -88,11 +88,11 @@ _ROUTES = Path("/proc/net/route")
 
 def without_token(environment: Mapping[str, str]) -> bool:
     """Whether the variable is set. Raises ConfigurationError (``configuration.no_token``) for all but 1."""
-    said = environment.get(NO_TOKEN, "")
-    if said not in ("", "1"):
-        why = f"{NO_TOKEN} = {said[:40]!r}; wanted 1, or nothing, which asks for tokens"
+    value = environment.get(NO_TOKEN, "")
+    if value not in ("", "1"):
+        why = f"{NO_TOKEN} = {value[:40]!r}; wanted 1, or nothing, which asks for tokens"
         raise ConfigurationError("configuration.no_token", why)
-    return said == "1"
+    return value == "1"
 
 
 def access_without_token(

@@ -32,28 +32,28 @@ class Check(NamedTuple):
 
     what: str
     found: str
-    asked: str
+    goal: str
     met: bool | None
 
 
 def at_least(what: str, value: float, limit: float | None, unit: str = "") -> Check:
     """A figure that is to be ``limit`` or more; None: for information."""
-    asked = "" if limit is None else f"≥ {limit:g} {unit}".rstrip()
-    return Check(what, f"{value:.3f} {unit}".rstrip(), asked, None if limit is None else bool(value >= limit))
+    goal = "" if limit is None else f"≥ {limit:g} {unit}".rstrip()
+    return Check(what, f"{value:.3f} {unit}".rstrip(), goal, None if limit is None else bool(value >= limit))
 
 
 def at_most(what: str, value: float, limit: float | None, unit: str = "") -> Check:
     """A figure that is to be ``limit`` or less; None: for information."""
-    asked = "" if limit is None else f"≤ {limit:g} {unit}".rstrip()
-    return Check(what, f"{value:.3f} {unit}".rstrip(), asked, None if limit is None else bool(value <= limit))
+    goal = "" if limit is None else f"≤ {limit:g} {unit}".rstrip()
+    return Check(what, f"{value:.3f} {unit}".rstrip(), goal, None if limit is None else bool(value <= limit))
 
 
 def inside(what: str, value: float, band: tuple[float, float] | None) -> Check:
     """A figure that is to lie in ``band``; None: for information. NaN was not measured, so it is not met."""
-    asked = "" if band is None else f"{band[0]:.3f} to {band[1]:.3f}"
+    goal = "" if band is None else f"{band[0]:.3f} to {band[1]:.3f}"
     if not np.isfinite(value):
-        return Check(what, "not measured", asked, False)
-    return Check(what, f"{value:.3f}", asked, None if band is None else bool(band[0] <= value <= band[1]))
+        return Check(what, "not measured", goal, False)
+    return Check(what, f"{value:.3f}", goal, None if band is None else bool(band[0] <= value <= band[1]))
 
 
 class NoSettings(NamedTuple):
@@ -80,7 +80,7 @@ class Experiment(Generic[S]):
     """``tasks`` makes the runs asked for, ``run`` measures one, the others judge all rows.
 
     ``settings``: a NamedTuple of options, annotated for the command line. ``tables``, ``plot`` (name →
-    figure) and ``figures`` (for JSON) show the rows, ``verdict`` compares them with limits. ``runs``,
+    figure) and ``results`` (for JSON) show the rows, ``verdict`` compares them with limits. ``runs``,
     ``seed``: the defaults. ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is
     shorter than the start of a worker.
     """
@@ -93,7 +93,7 @@ class Experiment(Generic[S]):
     verdict: Callable[[Finished[S]], Sequence[Check]]
     runs: int
     plot: Callable[[Finished[S]], "Mapping[str, Figure]"] = nothing
-    figures: Callable[[Finished[S]], Mapping[str, Any]] = nothing
+    results: Callable[[Finished[S]], Mapping[str, Any]] = nothing
     seed: int = 1
     world: str = ""
     eyes: str = ""
@@ -113,7 +113,7 @@ def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) ->
     for made in (*experiment.tables(done), *_failures(done.rows)):
         out.print(made)
     checks, conditions = experiment.verdict(done), _conditions(experiment, done)
-    lines = [(check.what, check.found, check.asked or "–", _VERDICTS[check.met]) for check in checks]
+    lines = [(check.what, check.found, check.goal or "–", _VERDICTS[check.met]) for check in checks]
     out.print(table("verdict", ("figure", "found", "asked", ""), lines))
     out.print(conditions, highlight=False, soft_wrap=True)
     for name, figure in experiment.plot(done).items():
@@ -121,7 +121,7 @@ def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) ->
         figure.savefig(path, dpi=_DPI)
         out.print(f"picture: {path}", style="dim", highlight=False, soft_wrap=True)
     passed = all(check.met is not False for check in checks)
-    figures = {
+    results = {
         "experiment": experiment.name,
         "passed": passed,
         "checks": checks,
@@ -129,7 +129,7 @@ def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) ->
         "reused": campaign.reused,
         "rows": campaign.rows,
     }
-    write_json(request.json_file, figures | dict(experiment.figures(done)))
+    write_json(request.json_file, results | dict(experiment.results(done)))
     return passed
 
 

@@ -30,18 +30,18 @@ def true_points(plant: Plant) -> list[list[float]]:
 
 def carry_out(message: OrderMessage, plant: Plant, cover: Cover, *, shows_truth: bool) -> PlantAnswer:
     """What the plant says to an order, which is carried out or refused. ``cover``: ``Scene.cover``."""
-    said: dict[str, Any] = {}
+    outcome: dict[str, Any] = {}
     try:
-        said["concerned"] = [one.as_dict() for one in obey(message.order, plant, cover)]
+        outcome["concerned"] = [one.as_dict() for one in obey(message.order, plant, cover)]
     except RequestRefused as refused:
-        said = {"cause": refused.cause, "detail": str(refused)}
+        outcome = {"cause": refused.cause, "detail": str(refused)}
     return PlantAnswer(
         number=message.number,
         time_ns=plant.time_ns,
         active=[one.as_dict() for one in plant.faults.active],
         planned=[one.as_dict() for one in plant.faults.planned],
         arm_points_m=true_points(plant) if shows_truth else None,
-        **said,
+        **outcome,
     )
 
 

@@ -25,22 +25,22 @@ def request_of(data: bytes) -> Request:
     sub_function = int.from_bytes(data[1:3], "big") if function == modbus.DIAGNOSTICS and data[2:] else 0
     if function not in _SERVED or sub_function not in modbus.SUB_FUNCTIONS:
         return Request(function, modbus.ILLEGAL_FUNCTION)
-    asked = decoded(_DECODER, data)
-    if isinstance(asked, ReadWriteMultipleRegistersRequest):
-        if asked.write_byte_count == 2 * asked.write_count <= 2 * asked.MAX_WRITE_COUNT:
-            reads = Span(asked.read_address, asked.read_count)
-            writes = Span(asked.write_address, asked.write_count)
-            return Request(function, 0, reads, writes, asked.write_registers)
-    elif isinstance(asked, DiagnosticBase):
-        if encoded(asked) == data and (words := _data_of(asked)):
+    decoded_pdu = decoded(_DECODER, data)
+    if isinstance(decoded_pdu, ReadWriteMultipleRegistersRequest):
+        if decoded_pdu.write_byte_count == 2 * decoded_pdu.write_count <= 2 * decoded_pdu.MAX_WRITE_COUNT:
+            reads = Span(decoded_pdu.read_address, decoded_pdu.read_count)
+            writes = Span(decoded_pdu.write_address, decoded_pdu.write_count)
+            return Request(function, 0, reads, writes, decoded_pdu.write_registers)
+    elif isinstance(decoded_pdu, DiagnosticBase):
+        if encoded(decoded_pdu) == data and (words := _data_of(decoded_pdu)):
             return Request(function, values=(sub_function, *words))
-    elif asked is not None and function in COUPLER_MAP.reads:
-        return Request(function, 0, Span(asked.address, asked.count))
-    elif asked is not None:
-        values = asked.bits or asked.registers
-        counted = 1 <= len(values) <= MAX_WRITE_BITS and asked.count in (0, len(values))
-        if counted and encoded(asked)[:_HEAD_BYTES] == data[:_HEAD_BYTES]:
-            return Request(function, 0, None, Span(asked.address, len(values)), values)
+    elif decoded_pdu is not None and function in COUPLER_MAP.reads:
+        return Request(function, 0, Span(decoded_pdu.address, decoded_pdu.count))
+    elif decoded_pdu is not None:
+        values = decoded_pdu.bits or decoded_pdu.registers
+        counted = 1 <= len(values) <= MAX_WRITE_BITS and decoded_pdu.count in (0, len(values))
+        if counted and encoded(decoded_pdu)[:_HEAD_BYTES] == data[:_HEAD_BYTES]:
+            return Request(function, 0, None, Span(decoded_pdu.address, len(values)), values)
     return Request(function, modbus.ILLEGAL_VALUE)
 
 
@@ -59,8 +59,8 @@ def answer_to(request: Request, code: int, read: Sequence[int]) -> bytes:
     return encoded(kind(address=address, count=count, bits=bits, registers=words))
 
 
-def _data_of(asked: DiagnosticBase) -> tuple[int, ...]:
-    data = asked.message
+def _data_of(decoded_pdu: DiagnosticBase) -> tuple[int, ...]:
+    data = decoded_pdu.message
     if isinstance(data, bytes) and len(data) % 2 == 0:  # the echo
         return struct.unpack(f">{len(data) // 2}H", data)
     return (0,) if data == 0 else ()

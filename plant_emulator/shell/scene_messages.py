@@ -61,8 +61,8 @@ def frames(truth: PlantTruth, links: tuple[str, ...], X_WL: Array) -> list[Posed
 
 
 def _scene(config: SceneConfig, chain: Chain, links: tuple[str, ...], time_ns: int) -> bytes:
-    said = SceneUpdate()
-    wall = _entity(said, "wall", OBJECT, time_ns)
+    message = SceneUpdate()
+    wall = _entity(message, "wall", OBJECT, time_ns)
     _cube(wall, _at(0.0, 0.0, -0.5 * _THIN_M), (_WALL_M, _WALL_M, _THIN_M), _GREY)
     for hole in config.wall.drill_holes:
         made = wall.cylinders.add(bottom_scale=1.0, top_scale=1.0)
@@ -72,24 +72,24 @@ def _scene(config: SceneConfig, chain: Chain, links: tuple[str, ...], time_ns: i
         _colour(made, _DARK)
     for marker in config.object_of_interest.markers:
         _marker(
-            _entity(said, f"marker {marker.marker_id}", OBJECT, time_ns), marker, wall_marker_pose(marker)
+            _entity(message, f"marker {marker.marker_id}", OBJECT, time_ns), marker, wall_marker_pose(marker)
         )
-    _marker(_entity(said, "tool marker", MARKER, time_ns), config.tool_marker, np.eye(4))
+    _marker(_entity(message, "tool marker", MARKER, time_ns), config.tool_marker, np.eye(4))
     tool = chain.X_BT_home[:3, 3]
     for name, begun, ended in zip(links, chain.point, [*chain.point[1:], tool], strict=True):
         if (length := float(np.linalg.norm(ended - begun))) > _SHORT_M:
-            made = _entity(said, name, name, time_ns).cylinders.add(bottom_scale=1.0, top_scale=1.0)
+            made = _entity(message, name, name, time_ns).cylinders.add(bottom_scale=1.0, top_scale=1.0)
             put_pose(made.pose, _along((ended - begun) / length, 0.5 * (ended - begun)))
             made.size.x = made.size.y = _LINK_M
             made.size.z = length
             _colour(made, _YELLOW)
-    return bytes(said.SerializeToString())
+    return bytes(message.SerializeToString())
 
 
 def _camera(config: CameraConfig, time_ns: int) -> bytes:
     """foxglove.CameraCalibration of the true left eye."""
     lens = config.lens
-    said = CameraCalibration(
+    message = CameraCalibration(
         frame_id=CAMERA,
         width=config.width_px,
         height=config.height_px,
@@ -99,12 +99,12 @@ def _camera(config: CameraConfig, time_ns: int) -> bytes:
         R=np.eye(3).ravel().tolist(),
         P=[lens.fx_px, 0.0, lens.cx_px, 0.0, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 0.0, 1.0, 0.0],
     )
-    put_time(said.timestamp, time_ns)
-    return bytes(said.SerializeToString())
+    put_time(message.timestamp, time_ns)
+    return bytes(message.SerializeToString())
 
 
-def _entity(said: Any, name: str, frame: str, time_ns: int) -> Any:
-    made = said.entities.add(id=name, frame_id=frame, frame_locked=True)
+def _entity(message: Any, name: str, frame: str, time_ns: int) -> Any:
+    made = message.entities.add(id=name, frame_id=frame, frame_locked=True)
     put_time(made.timestamp, time_ns)
     return made
 

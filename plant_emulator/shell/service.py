@@ -18,7 +18,7 @@ from foundation.recording.messages import RecordingThread
 from foundation.recording.recorder import OpenSink
 from foundation.secret_source import bound_tcp
 from foundation.self_watch import DiskWatch, resident_mb
-from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
+from foundation.service_main import ServiceOptions, on_termination, say_ready
 from plant_emulator.config.service import Endpoint, PlantSideConfig
 from plant_emulator.core.camera.exposures import STILL, CameraView
 from plant_emulator.core.camera.scene import Scene
@@ -28,7 +28,7 @@ from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.fault_desk import FaultDesk
-from plant_emulator.shell.plant_figures import FIGURES
+from plant_emulator.shell.plant_metrics import METRICS
 from plant_emulator.shell.scene_messages import drawing
 from plant_emulator.shell.ticker import Integrator, SlowCycle, Ticker, TickerBody, greatest_pace
 from plant_emulator.shell.truth_recorder import TruthRecorder
@@ -48,7 +48,7 @@ class PlantService:
         service = config.service
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
-        self._asked_to_end = asyncio.Event()
+        self._termination = asyncio.Event()
         self._faults = FaultDesk(self._plant, scene, service.fault_face, log, self._end_soon)
         self._period_ns = round(service.period_ms * 1e6)
         self._integrator = Integrator(self._period_ns, lambda at_ns: self._step(self._period_ns, at_ns))
@@ -83,8 +83,8 @@ class PlantService:
 
         Raises ConfigurationError when a port is busy or the recording cannot be written.
         """
-        stop = self._asked_to_end
-        when_asked_to_end(stop.set)
+        stop = self._termination
+        on_termination(stop.set)
         service = self._config.service
         with (
             closing(self._faults),
@@ -123,7 +123,7 @@ class PlantService:
 
     def _end_soon(self) -> None:
         """End in good order, once the API has told who asked for it."""
-        asyncio.get_running_loop().call_later(_ANSWERED_S, self._asked_to_end.set)
+        asyncio.get_running_loop().call_later(_ANSWERED_S, self._termination.set)
 
     async def _serve(
         self, camera: CameraSender, addresses: dict[str, tuple[str, int]], stop: asyncio.Event
@@ -154,7 +154,7 @@ class PlantService:
             return
         addresses["clock"] = bound.getsockname()
         camera = self._camera
-        body = TickerBody(camera.watched, self._tick, camera.published, self._asked_to_end.set)
+        body = TickerBody(camera.watched, self._tick, camera.published, self._termination.set)
         self._ticker = Ticker(self._clock, self._period_ns, greatest_pace(), body, self._log)
         await self._ticker.start(bound)
 
@@ -261,10 +261,10 @@ class PlantService:
     def _metrics_text(self) -> str:
         """Its text for Prometheus; asked for by the thread that feeds the live face."""
         spreads = (Spread("step_lateness_seconds", "How late steps began.", self._integrator.lateness),)
-        figures = self._gathered() | {"log_lines_dropped": self._log.dropped}
+        values = self._gathered() | {"log_lines_dropped": self._log.dropped}
         if (truth := self._truth) is not None:
-            figures |= {"oil_temperature_degc": truth.oil_temperature_degc, "supply_pa": truth.supply}
-        return exposition(_NAME, FIGURES, figures, spreads)
+            values |= {"oil_temperature_degc": truth.oil_temperature_degc, "supply_pa": truth.supply}
+        return exposition(_NAME, METRICS, values, spreads)
 
     def _gathered(self) -> dict[str, Any]:
         assert self._camera is not None

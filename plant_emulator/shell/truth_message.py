@@ -74,21 +74,21 @@ def truth_bytes(
     tool marker moved, where a picture depends on that.
     """
     values = np.concatenate([np.ravel(getattr(truth, name)) for name in _COLUMNS]).tolist()
-    said = TruthMessage(**dict(zip(_FLAT, values, strict=True)))
+    message = TruthMessage(**dict(zip(_FLAT, values, strict=True)))
     if frame_id is not None:
-        said.frame_id = frame_id
-    said.time_ns = truth.time_ns
+        message.frame_id = frame_id
+    message.time_ns = truth.time_ns
     for name, column in _SCALARS.items():
-        setattr(said, column, getattr(truth, name))
+        setattr(message, column, getattr(truth, name))
     for name in _MATRICES:
-        getattr(said, name).extend(getattr(truth, name).ravel().tolist())
-    said.faults.extend(truth.faults)
+        getattr(message, name).extend(getattr(truth, name).ravel().tolist())
+    message.faults.extend(truth.faults)
     if holes_O is not None:
-        getattr(said, HOLES).extend((holes_O @ truth.R_CO.T + truth.p_CO).ravel().tolist())
+        getattr(message, HOLES).extend((holes_O @ truth.R_CO.T + truth.p_CO).ravel().tolist())
     if motion is not None:
         for name, value in zip(MOTION, motion.rates.ravel().tolist(), strict=True):
-            setattr(said, name, value)
-    return bytes(said.SerializeToString())
+            setattr(message, name, value)
+    return bytes(message.SerializeToString())
 
 
 def holes_of(data: bytes) -> Array:
@@ -98,19 +98,19 @@ def holes_of(data: bytes) -> Array:
 
 def truth_of(data: bytes) -> tuple[PlantTruth, int | None, CameraMotion | None]:
     """The truth of a message, its frame, and how camera and marker moved, where that is told."""
-    said = TruthMessage.FromString(data)
-    flat, begun = np.array(_flat_of(said)), 0
-    values: dict[str, Any] = {"time_ns": said.time_ns, "faults": tuple(said.faults)}
+    message = TruthMessage.FromString(data)
+    flat, begun = np.array(_flat_of(message)), 0
+    values: dict[str, Any] = {"time_ns": message.time_ns, "faults": tuple(message.faults)}
     for name, columns in _COLUMNS.items():
         shape = _SHAPES.get(name, (len(columns),))
         values[name] = flat[begun : begun + len(columns)].reshape(shape)
         begun += len(columns)
     for name, column in _SCALARS.items():
-        values[name] = getattr(said, column)
+        values[name] = getattr(message, column)
     for name, matrix in _MATRICES.items():
-        values[name] = np.array(getattr(said, name)).reshape(matrix)
-    frame_id = said.frame_id if said.HasField("frame_id") else None
-    if not said.HasField(MOTION[0]):
+        values[name] = np.array(getattr(message, name)).reshape(matrix)
+    frame_id = message.frame_id if message.HasField("frame_id") else None
+    if not message.HasField(MOTION[0]):
         return PlantTruth(**values), frame_id, None
-    rates = np.array([getattr(said, name) for name in MOTION]).reshape(2, 6)
+    rates = np.array([getattr(message, name) for name in MOTION]).reshape(2, 6)
     return PlantTruth(**values), frame_id, CameraMotion(rates)

@@ -68,9 +68,9 @@ class _Posed(NamedTuple):
     X_WL: NDArray[np.float64]
 
 
-def _fault_bytes(said: Mapping[str, Any]) -> bytes:
-    plain = {name: value for name, value in said.items() if name != "fault" and value is not None}
-    return bytes(FaultMessage(**plain, fault_json=_json(said["fault"])).SerializeToString())
+def _fault_bytes(entry: Mapping[str, Any]) -> bytes:
+    plain = {name: value for name, value in entry.items() if name != "fault" and value is not None}
+    return bytes(FaultMessage(**plain, fault_json=_json(entry["fault"])).SerializeToString())
 
 
 def _frames_bytes(posed: _Posed) -> bytes:
@@ -81,8 +81,8 @@ def _log_bytes(line: tuple[int, str, str]) -> bytes:
     return log_line(line[0], line[1], "plant_emulator", line[2])
 
 
-def _json(said: Any) -> str:
-    return json.dumps(said, separators=(",", ":"))
+def _json(entry: Any) -> str:
+    return json.dumps(entry, separators=(",", ":"))
 
 
 def _capture_bytes(record: TruthRecord) -> bytes:
@@ -144,9 +144,9 @@ class TruthRecorder(ServiceRecorder):
 
     def fault(self, change: FaultChange, log_ns: int) -> None:
         """Record that a fault was planned, began, ended or was withdrawn."""
-        said = change.as_dict()
-        self.put(FAULT, said, log_ns, change.time_ns, wanted=True)
-        line = (log_ns, "warning", f"fault {said['number']} {said['phase']}: {said['name']}")
+        entry = change.as_dict()
+        self.put(FAULT, entry, log_ns, change.time_ns, wanted=True)
+        line = (log_ns, "warning", f"fault {entry['number']} {entry['phase']}: {entry['name']}")
         self.put(LOG, line, log_ns, change.time_ns, wanted=True)
 
     def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:

@@ -48,15 +48,15 @@ def question(pictures: Sequence[Image], board: Board, found: int) -> None:
     """
     if not isinstance(board, Checkerboard):
         return
-    asked = (max(board.columns, board.rows), min(board.columns, board.rows))
+    board_size = (max(board.columns, board.rows), min(board.columns, board.rows))
     shown = counts_shown(pictures)
-    if shown is not None and shown != asked:
+    if shown is not None and shown != board_size:
         why = (
             f"the pictures show a board of {shown[0]}x{shown[1]} inner corners, asked for are "
             f"{board.columns}x{board.rows}: --columns and --rows count corners where four squares meet, "
             "one fewer than squares each way"
         )
-        if not found or (shown[0] >= asked[0] and shown[1] >= asked[1]):
+        if not found or (shown[0] >= board_size[0] and shown[1] >= board_size[1]):
             raise RequestRefused("refused.board.counts", why)
         out.print(why, style="yellow", highlight=False, soft_wrap=True)
     if (board.columns + board.rows) % 2 == 0:

@@ -7,14 +7,14 @@ from vision_pc.core.perception.april_grid import Board
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 
 
-def asked_board(asked: PicturedBoard) -> Board:
+def described_board(described: PicturedBoard) -> Board:
     """The board that the command line describes. Raises RequestRefused for an unknown dictionary, and as
     ``read_april_grid``.
     """
-    if asked.target is not None:
-        return read_april_grid(asked.target)
-    square_m = 1e-3 * asked.square_mm
-    if not asked.charuco:
-        return Checkerboard(asked.columns, asked.rows, square_m)
-    dictionary = dictionary_number(asked.dictionary)
-    return Charuco(asked.columns, asked.rows, square_m, 1e-3 * asked.marker_mm, dictionary)
+    if described.target is not None:
+        return read_april_grid(described.target)
+    square_m = 1e-3 * described.square_mm
+    if not described.charuco:
+        return Checkerboard(described.columns, described.rows, square_m)
+    dictionary = dictionary_number(described.dictionary)
+    return Charuco(described.columns, described.rows, square_m, 1e-3 * described.marker_mm, dictionary)

@@ -54,10 +54,10 @@ def check(
 ) -> None:
     """Rows, disparity, size, rate, stamps, sharpness and exposure; exit status 1 when something is bad."""
     from testbed.camera.checking import run_check
-    from testbed.cli.boards import asked_board
+    from testbed.cli.boards import described_board
 
-    asked = asked_board(board) if with_board else None
-    raise typer.Exit(0 if run_check(source, _vision(config_dir, settings), pairs, asked, json_file) else 1)
+    pattern = described_board(board) if with_board else None
+    raise typer.Exit(0 if run_check(source, _vision(config_dir, settings), pairs, pattern, json_file) else 1)
 
 
 @app.command(
@@ -76,10 +76,10 @@ def calibrate(
 ) -> None:
     """Calibrate raw pairs of one board, held everywhere in both pictures, tilted and at several distances."""
     from testbed.camera.calibrating import run_calibrate
-    from testbed.cli.boards import asked_board
+    from testbed.cli.boards import described_board
 
-    asked, vision = asked_board(board), _vision(config_dir, settings)
-    good = run_calibrate(source, vision.camera, asked, lens, pairs, to, json_file)
+    pattern, vision = described_board(board), _vision(config_dir, settings)
+    good = run_calibrate(source, vision.camera, pattern, lens, pairs, to, json_file)
     raise typer.Exit(0 if good else 1)
 
 
@@ -112,12 +112,12 @@ def emulate(
 ) -> None:
     """Pairs of a board, or of the markers, as the emulator's raw camera takes them."""
     from testbed.camera.pairs import run_emulate
-    from testbed.cli.boards import asked_board
+    from testbed.cli.boards import described_board
     from testbed.scenarios.scenario import chosen_overrides, load_settings
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    asked = None if markers else asked_board(board)
-    run_emulate(load_settings(config_dir, overrides).scene, asked, pairs, seed, to)
+    pattern = None if markers else described_board(board)
+    run_emulate(load_settings(config_dir, overrides).scene, pattern, pairs, seed, to)
 
 
 def _size(text: str | None) -> tuple[int, int] | None:

@@ -6,7 +6,7 @@ from foundation.foreign_text import read_each
 from foundation.numbers_as_written import written_number
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.camera.checking import question
-from testbed.cli.boards import asked_board
+from testbed.cli.boards import described_board
 from testbed.cli.options import PicturedBoard, PoseLines, SampleSource
 from testbed.hand_eye import picture_samples, presentation, trajectories
 from testbed.hand_eye.importer import ImportOptions, load
@@ -64,11 +64,11 @@ def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: P
     out.print(presentation.sample_table(result))
     for note in result.notes:
         out.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
-    figures = presentation.result_figures(result)
+    results = presentation.result_json(result)
     for line, style in presentation.judgement_lines(found):
         out.print(line, style=style, highlight=False, soft_wrap=True)
-    figures["verdict"] = presentation.judgement_figures(found)
-    write_json(json_file, figures)
+    results["verdict"] = presentation.judgement_json(found)
+    write_json(json_file, results)
     return as_given or found.verdict == "good"
 
 
@@ -93,7 +93,7 @@ def run_intrinsics_of_pictures(
         raise RequestRefused(
             "refused.intrinsics.sizes", f"pictures of {len(sizes)} sizes; one camera has one"
         )
-    chosen = asked_board(board)
+    chosen = described_board(board)
     views, missed = detect(pictures, chosen, detector)
     for line in (*left_out, *second_finders(views), *(f"no board in {name}" for name in missed)):
         out.print(line, style="yellow", highlight=False, soft_wrap=True)
@@ -116,8 +116,8 @@ def run_intrinsics_of_pictures(
         "coverage": found.coverage,
     }
     view_rms_px = dict(zip(found.names, found.view_rms_px.tolist(), strict=True))
-    said = {"rms_px": found.rms_px, "missed": missed, "outlying": found.outlying}
-    write_json(json_file, said | fit | {"view_rms_px": view_rms_px})
+    summary = {"rms_px": found.rms_px, "missed": missed, "outlying": found.outlying}
+    write_json(json_file, summary | fit | {"view_rms_px": view_rms_px})
 
 
 def run_samples(
@@ -138,5 +138,5 @@ def run_samples(
             highlight=False,
             soft_wrap=True,
         )
-    content, missed = picture_samples.sample_file(pictures, known, asked_board(board), setup)
+    content, missed = picture_samples.sample_file(pictures, known, described_board(board), setup)
     picture_samples.write_samples(content, missed, to)

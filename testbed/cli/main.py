@@ -187,8 +187,8 @@ def demo(
     breaks = start.allow_faults or bool(faults)
     world = chosen_overrides(config_dir, scenario, seed, settings or [])
     overrides = with_face(world, breaks, start.show_truth)
-    asked = scenario, seed, 1 if programs else chosen.looks, programs, faults
-    choice = Choice(*asked, chosen.method, start.controller, Timing(start.clock, start.pace))
+    chosen_run = scenario, seed, 1 if programs else chosen.looks, programs, faults
+    choice = Choice(*chosen_run, chosen.method, start.controller, Timing(start.clock, start.pace))
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:

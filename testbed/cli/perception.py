@@ -53,7 +53,7 @@ def run_odometry(
         spent_ms = 1e3 * (time.process_time() - began_s) / len(result.records)
     files = _write_trajectories(options.trajectory, result)
     _print(result, spent_ms, files)
-    figures = _figures(result) | {"milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files))}
+    results = _results(result) | {"milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files))}
     try:
         if truth is not None:
             maps = {k: result.poses_of(k) for k in (0, *result.apart)}
@@ -62,13 +62,13 @@ def run_odometry(
                 which = f"map {k}, " if len(errors) > 1 else ""
                 judged = found or "fewer than three poses: not judged"
                 out.print(f"against the truth, {which}{judged}")
-            figures["truth"] = [{"map": k, "errors": e and e._asdict()} for k, e in errors.items()]
+            results["truth"] = [{"map": k, "errors": e and e._asdict()} for k, e in errors.items()]
     finally:  # the path was found, whether the truth fits it or not
-        write_json(json_file, figures)
+        write_json(json_file, results)
     return result.lost == 0 and not result.apart
 
 
-def _figures(result: SequenceResult) -> dict[str, object]:
+def _results(result: SequenceResult) -> dict[str, object]:
     return {
         "notes": result.notes,
         "pairs": len(result.records),
@@ -138,7 +138,7 @@ def run_markers(
     requested = frozenset(numbers)
     pictures, right, unpaired = _given(pictures, right)
     rows: list[tuple[str, ...]] = []
-    figures: list[dict[str, object]] = []
+    results: list[dict[str, object]] = []
     readable, notes = _checked(pictures, right, dictionary)
     complete = not notes
     notes += unpaired
@@ -151,14 +151,14 @@ def run_markers(
         notes += [f"{path.name}, {twin.name}: {wrong}"] if wrong else []
         rows += [_row(path, marker) for marker in found]
         rows += [(path.name, str(number), *["-"] * 5) for number in missing]
-        figures.append({"picture": str(path), "markers": _plain(found), "missing": missing})
+        results.append({"picture": str(path), "markers": _plain(found), "missing": missing})
         if right:
-            figures[-1] |= {"right_picture": str(twin), "right_markers": _plain(other)}
+            results[-1] |= {"right_picture": str(twin), "right_markers": _plain(other)}
     out.print(table("markers", _HEADS, rows))
     for note in notes:
         out.print(note, style="yellow", highlight=False, soft_wrap=True)
     out.print(f"{len(rows)} lines from {len(readable)} pictures; {'complete' if complete else 'INCOMPLETE'}")
-    answer = {"dictionary": dictionary, "pictures": figures, "notes": notes, "complete": complete}
+    answer = {"dictionary": dictionary, "pictures": results, "notes": notes, "complete": complete}
     write_json(json_file, answer)
     return complete
 

@@ -52,9 +52,9 @@ def info(file: File, json_file: JsonFile = None) -> None:
     lines += [f"{found.messages} messages, {length_s:.1f} s, {'whole' if whole else 'not whole'}"]
     for line in lines:
         out.print(line, highlight=False, markup=False)
-    figures = {"messages": found.messages, "counts": counts, "seconds": length_s, "whole": whole}
-    figures |= {"damages": [damage._asdict() for damage in found.damages], "metadata": found.metadata}
-    write_json(json_file, figures | {"complete": found.complete, "stray": found.stray})
+    results = {"messages": found.messages, "counts": counts, "seconds": length_s, "whole": whole}
+    results |= {"damages": [damage._asdict() for damage in found.damages], "metadata": found.metadata}
+    write_json(json_file, results | {"complete": found.complete, "stray": found.stray})
     raise typer.Exit(0 if whole else 1)
 
 
@@ -79,5 +79,5 @@ def pictures_command(
         f"{len(found.pairs.files)} pairs of {found.topics[0]} and {found.topics[1]} in {directory}; {lens}"
     )
     out.print(summary, highlight=False, soft_wrap=True)
-    figures = {"pairs": len(found.pairs.files), "topics": found.topics, "notes": found.pairs.notes}
-    write_json(json_file, figures | {"calibration": found.calibration})
+    results = {"pairs": len(found.pairs.files), "topics": found.topics, "notes": found.pairs.notes}
+    write_json(json_file, results | {"calibration": found.calibration})

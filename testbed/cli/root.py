@@ -74,12 +74,12 @@ def _choose_arm(ctx: typer.Context, arm: str | None) -> None:
         ctx.params[_DIRECTORY] = arm_directory(Path(ctx.params[_DIRECTORY]), arm)
 
 
-def _quiet(asked: bool) -> None:
-    Verbosity.quiet = asked
+def _quiet(flag: bool) -> None:
+    Verbosity.quiet = flag
 
 
-def _verbose(asked: bool) -> None:
-    Verbosity.verbose = asked
+def _verbose(flag: bool) -> None:
+    Verbosity.verbose = flag
 
 
 @cache
@@ -220,8 +220,8 @@ def _end(message: str, status: int) -> None:
     sys.exit(status)
 
 
-def show_version(asked: bool) -> None:
+def show_version(flag: bool) -> None:
     """Print the version and end, where it was asked for."""
-    if asked:
+    if flag:
         typer.echo(f"longreach {importlib.metadata.version('longreach')}")
         raise typer.Exit

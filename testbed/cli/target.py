@@ -11,7 +11,7 @@ from testbed.cli.options import JsonFile
 from testbed.reporting.console import writable
 
 
-class AskedTarget(NamedTuple):
+class TargetOptions(NamedTuple):
     """What is to be printed."""
 
     board: Annotated[
@@ -33,7 +33,7 @@ class AskedTarget(NamedTuple):
 
 @unfolded
 def target(
-    asked: AskedTarget,
+    page: TargetOptions,
     paper: Annotated[str, typer.Option(help="a4, a3 or letter; turned across where that is needed.")] = "a4",
     to: Annotated[Path, typer.Option("--out", help="The PDF to write.", callback=writable)] = Path(
         "target.pdf"
@@ -44,20 +44,20 @@ def target(
     from testbed.pictures.target_page import board_shape, dictionary_number, marker_shape, run_target
     from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 
-    if (asked.board is None) == (asked.marker is None):
+    if (page.board is None) == (page.marker is None):
         raise RequestRefused("refused.target.which", "one of --board and --marker is wanted")
-    if asked.marker is not None:
-        shape = marker_shape(asked.dictionary, asked.marker, asked.size_mm)
+    if page.marker is not None:
+        shape = marker_shape(page.dictionary, page.marker, page.size_mm)
     else:
-        columns, rows = _counts(asked.board or "")
-        inner = 0.75 * asked.size_mm if asked.marker_mm is None else asked.marker_mm
+        columns, rows = _counts(page.board or "")
+        inner = 0.75 * page.size_mm if page.marker_mm is None else page.marker_mm
         board = (
-            Charuco(columns, rows, 1e-3 * asked.size_mm, 1e-3 * inner, dictionary_number(asked.dictionary))
-            if asked.charuco
-            else Checkerboard(columns, rows, 1e-3 * asked.size_mm)
+            Charuco(columns, rows, 1e-3 * page.size_mm, 1e-3 * inner, dictionary_number(page.dictionary))
+            if page.charuco
+            else Checkerboard(columns, rows, 1e-3 * page.size_mm)
         )
-        shape = board_shape(board, asked.dictionary)
-    run_target(shape, paper.lower(), asked.size_mm, to, json_file)
+        shape = board_shape(board, page.dictionary)
+    run_target(shape, paper.lower(), page.size_mm, to, json_file)
 
 
 def _counts(text: str) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import yaml
 from rich.table import Table
 
-from controller.core.excitation.plan import Trouble
+from controller.core.excitation.plan import Failure
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import obey
@@ -46,14 +46,14 @@ WORDS = {
 """By cause, without its ``commissioning.``: what happened, and scale and unit of its value."""
 
 
-def trouble_words(trouble: Trouble) -> str:
+def failure_words(failure: Failure) -> str:
     """``cause: joint: what: value, limit``, without a stop at its end."""
-    words = WORDS.get(trouble.cause.removeprefix("commissioning."))
+    words = WORDS.get(failure.cause.removeprefix("commissioning."))
     if words is None:  # stopped from outside, or a controller's that knows more than we do
-        return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}"
+        return f"{failure.cause}: {JOINT_NAMES[failure.joint]}"
     what, scale, unit = words
-    value_text = f"{scale * trouble.value:.4g} {unit}, limit {scale * trouble.limit:.4g}"
-    return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}: {what}: {value_text}"
+    value_text = f"{scale * failure.value:.4g} {unit}, limit {scale * failure.limit:.4g}"
+    return f"{failure.cause}: {JOINT_NAMES[failure.joint]}: {what}: {value_text}"
 
 
 _OF_EDGES = (
@@ -90,7 +90,7 @@ def _number_text(number: Uncertain, unit: float, digits: int) -> str:
     return f"{unit * number.value:.{digits}f} ± {unit * number.std:.{digits}f}"
 
 
-def findings_figures(found: Mapping[int, JointFindings]) -> dict[str, Any]:
+def findings_json(found: Mapping[int, JointFindings]) -> dict[str, Any]:
     """The same numbers for a JSON file, SI and bar, by joint."""
     return {JOINTS[joint]: one._asdict() for joint, one in sorted(found.items())}
 
@@ -139,13 +139,13 @@ def run_commission(request: CommissionRequest) -> bool:
     elif live:
         names = ", ".join(JOINT_NAMES[joint] for joint in to_do)
         unfinished = f"commissioning.unfinished: {names}: ENABLE begins or goes on"
-        complete = _broken_off(trouble_words(session.trouble) if session.trouble else unfinished)
+        complete = _broken_off(failure_words(session.failure) if session.failure else unfinished)
     else:
         complete = _tried_out(settings, request, to_do, session)
     found = _findings_of(session, settings)
     if found:
         out.print(findings_table(found))
-    write_json(request.json, {"joints": findings_figures(found), "complete": complete})
+    write_json(request.json, {"joints": findings_json(found), "complete": complete})
     whole = complete and all(joint in found for joint in joints)
     if whole:
         _write(found, settings, session, request.directory)
@@ -164,20 +164,20 @@ def _tried_out(
 ) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told and noted, the arm then stands."""
     try:
-        seconds, trouble = _excite(settings, request, joints, session)
+        seconds, failure = _excite(settings, request, joints, session)
     except (MeasurementFailed, LinkLost) as error:
-        session.ended_by(Trouble(error.cause, joints[0], 0.0, 0.0))
+        session.ended_by(Failure(error.cause, joints[0], 0.0, 0.0))
         return _broken_off(f"{error.cause}: {error}")
     out.print(f"{seconds / 60.0:.1f} min of arm time, to be below {LONGEST_MIN:g}", highlight=False)
-    if trouble is None:
+    if failure is None:
         return True
-    session.ended_by(trouble)
-    return _broken_off(trouble_words(trouble))
+    session.ended_by(failure)
+    return _broken_off(failure_words(failure))
 
 
 def _excite(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: TrialSession
-) -> tuple[float, Trouble | None]:
+) -> tuple[float, Failure | None]:
     with (
         kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {request.directory}"),
         bars() as shown,

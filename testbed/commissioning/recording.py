@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
-from controller.core.excitation.plan import Stroke, StrokeKind, Trouble
+from controller.core.excitation.plan import Failure, Stroke, StrokeKind
 from controller.core.excitation.program import ExcitationSample
 from controller.shell.scan_recorder import SUMMARY, TrialFile, summarise, write_trial
 from nominal_arm.description import JOINT_NAMES, CylinderDrive, NominalArm
@@ -208,13 +208,13 @@ class TrialSession:
         return [JOINT_NAMES.index(name) for name in self._summary["finished"]]
 
     @property
-    def trouble(self) -> Trouble | None:
+    def failure(self) -> Failure | None:
         """What broke off the latest trial."""
         ended = self._summary["ended_by"]
         if ended is None:
             return None
         joint = JOINT_NAMES.index(ended["joint"])
-        return Trouble(ended["cause"], joint, float(ended["value"]), float(ended["limit"]))
+        return Failure(ended["cause"], joint, float(ended["value"]), float(ended["limit"]))
 
     def recordings(self) -> dict[int, JointRecording]:
         """All recordings, read. Raises ConfigurationError for one that is none."""
@@ -232,9 +232,9 @@ class TrialSession:
         trial = TrialFile(self._file(joint), list(samples), tuple(strokes), self._summary)
         self._write(lambda: write_trial(trial))
 
-    def ended_by(self, trouble: Trouble) -> None:
+    def ended_by(self, failure: Failure) -> None:
         """Note what broke the latest trial off."""
-        self._summary["ended_by"] = trouble._asdict() | {"joint": JOINT_NAMES[trouble.joint]}
+        self._summary["ended_by"] = failure._asdict() | {"joint": JOINT_NAMES[failure.joint]}
         self._write(lambda: summarise(self._directory, self._summary))
 
     def _file(self, joint: int) -> Path:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from controller.core.excitation.plan import Stroke, Trouble
+from controller.core.excitation.plan import Failure, Stroke
 from controller.core.excitation.program import ExcitationSample
 from protocol.errors import LinkLost, MeasurementFailed
 from protocol.faults import CommandCode, GroupState
@@ -23,7 +23,7 @@ def with_excitation(settings: Settings, joints: Sequence[int]) -> Settings:
 
 def excite_in_lockstep(
     world: World, keep: Keep, progress: Callable[[float, str], None]
-) -> tuple[float, Trouble | None]:
+) -> tuple[float, Failure | None]:
     """Arm time (s) of trying out the joints of ``world``, which is enabled for it, and what broke it off.
 
     Raises MeasurementFailed (``measurement.stopped``) when somebody else stopped the arm, LinkLost when the
@@ -45,9 +45,9 @@ def excite_in_lockstep(
             done = _after(plan.strokes, done)
             progress(done / len(plan.strokes), f"{1e-9 * (world.time_ns - began_ns):.0f} s of arm time")
         seconds = 1e-9 * (world.time_ns - began_ns)
-        if program.finished(plan) or program.trouble is not None:
+        if program.finished(plan) or program.failure is not None:
             _rest(world)
-            return seconds, program.trouble
+            return seconds, program.failure
         if program.excitation is None and program.inner.fault.code:
             fault = program.inner.fault
             _rest(world)

@@ -138,8 +138,8 @@ def _check_flags(settled: Any, marker_id: Any, wanted: Any, where: str) -> None:
         raise RequestRefused("refused.hand_eye.format", why)
     if settled is False:
         raise RequestRefused("refused.hand_eye.unsettled", f"{where}: taken before the arm had settled")
-    asked = [numbers([one], 1, f"{where}: marker_id") for one in (wanted, marker_id) if one is not None]
-    if len(asked) == 2 and asked[0] != asked[1]:
+    marker_ids = [numbers([one], 1, f"{where}: marker_id") for one in (wanted, marker_id) if one is not None]
+    if len(marker_ids) == 2 and marker_ids[0] != marker_ids[1]:
         raise RequestRefused(
             "refused.hand_eye.marker_id", f"{where}: shows marker {marker_id}, marker {wanted} was asked for"
         )

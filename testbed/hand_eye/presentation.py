@@ -21,19 +21,19 @@ from vision_pc.core.perception.zhang_intrinsics import Intrinsics
 from vision_pc.core.se3 import Array
 
 
-def pose_figures(X: Array) -> dict[str, Any]:
+def pose_json(X: Array) -> dict[str, Any]:
     """A pose for JSON: position, quaternion and matrix."""
     pose = se3.to_pose(X)
     return {"p_m": pose.p_m, "q_wxyz": pose.q_wxyz, "matrix": X}
 
 
-def result_figures(result: HandEyeResult) -> dict[str, Any]:
+def result_json(result: HandEyeResult) -> dict[str, Any]:
     """All of a calibration for JSON; angles in degrees, residuals in mm and degrees."""
-    figures: dict[str, Any] = {
+    results: dict[str, Any] = {
         "method": result.method,
         "setup": result.setup.value,
-        "X": pose_figures(result.X),
-        "Z": pose_figures(result.Z),
+        "X": pose_json(result.X),
+        "Z": pose_json(result.Z),
         "observability": {
             "samples": result.observability.samples,
             "largest_rotation_deg": math.degrees(result.observability.largest_rotation),
@@ -52,30 +52,30 @@ def result_figures(result: HandEyeResult) -> dict[str, Any]:
         "notes": result.notes,
     }
     if result.certificate is not None:
-        figures["certificate"] = asdict(result.certificate) | {"holds": result.certificate.holds}
-    figures |= _uncertainty_figures(result)
+        results["certificate"] = asdict(result.certificate) | {"holds": result.certificate.holds}
+    results |= _uncertainty_json(result)
     if result.noise is not None:
-        figures["noise"] = {
+        results["noise"] = {
             "camera_deg": math.degrees(result.noise.camera_rotation),
             "camera_mm": 1e3 * result.noise.camera_translation,
             "robot_deg": math.degrees(result.noise.robot_rotation),
             "robot_mm": 1e3 * result.noise.robot_translation,
         }
-    return figures
+    return results
 
 
-def _uncertainty_figures(result: HandEyeResult) -> dict[str, Any]:
+def _uncertainty_json(result: HandEyeResult) -> dict[str, Any]:
     """X's covariance and standard deviations, and the camera matrix's part of them, where there are such."""
-    figures: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if result.covariance is not None:
         std = np.sqrt(np.diag(result.covariance))
-        figures["covariance_p_theta"] = result.covariance
-        figures["std_mm"] = 1e3 * std[:3]
-        figures["std_deg"] = np.degrees(std[3:])
+        results["covariance_p_theta"] = result.covariance
+        results["std_mm"] = 1e3 * std[:3]
+        results["std_deg"] = np.degrees(std[3:])
     if result.of_lens is not None:
         std = np.sqrt(np.diag(result.of_lens))
-        figures["camera_matrix"] = {"std_mm": 1e3 * std[:3], "std_deg": np.degrees(std[3:])}
-    return figures
+        results["camera_matrix"] = {"std_mm": 1e3 * std[:3], "std_deg": np.degrees(std[3:])}
+    return results
 
 
 def result_table(result: HandEyeResult) -> Table:
@@ -86,7 +86,7 @@ def result_table(result: HandEyeResult) -> Table:
         (f"camera {where}, mm", " ".join(f"{1e3 * p:.3f}" for p in pose.p_m)),
         ("quaternion w x y z", " ".join(f"{q:.6f}" for q in pose.q_wxyz)),
     ]
-    f = result_figures(result)
+    f = result_json(result)
     if "std_mm" in f:
         rows.append(("standard deviation, mm", " ".join(f"{v:.3f}" for v in f["std_mm"])))
         rows.append(("standard deviation, deg", " ".join(f"{v:.4f}" for v in f["std_deg"])))
@@ -110,7 +110,7 @@ def result_table(result: HandEyeResult) -> Table:
     return table(f"{result.method}, {result.setup}", ("", "value"), rows)
 
 
-def judgement_figures(judgement: Judgement) -> dict[str, Any]:
+def judgement_json(judgement: Judgement) -> dict[str, Any]:
     """What to believe of a calibration, for JSON."""
     scale = judgement.scale
     return {

@@ -122,10 +122,10 @@ class LockstepRig:
             raise RequestRefused("refused.unknown_program", why)
         program = self._programs[kind]
         try:
-            asked = program.body(**body)
+            request_body = program.body(**body)
         except ValidationError as error:
             raise RequestRefused("request.invalid", f"{kind}.{fault_words(error.errors()[0])}") from error
-        settings = program.requested(self.application, asked)
+        settings = program.requested(self.application, request_body)
         program.refuse_now(self.application, settings)
         self._log.write("operation", kind=kind, body=body)
         try:

@@ -62,7 +62,7 @@ class Child:
         self._complain = complain
         self._last_line = self._last_error = ""
         self._is_ending = False
-        self._said_ready = threading.Event()
+        self._reported_ready = threading.Event()
         environment = {INCIDENTS: str(log.parent.absolute() / INCIDENT_FILE)} | dict(service.environment)
         self._process = subprocess.Popen(
             [sys.executable, "-m", service.module, *service.arguments],
@@ -101,11 +101,11 @@ class Child:
         with self._process.stdout as lines:
             for line in lines:
                 with suppress(ValueError):
-                    said = json.loads(line)
-                    if isinstance(said, dict) and said.get("event") == "ready":
-                        self.ready = said
-                        self._said_ready.set()
-        self._said_ready.set()  # the end of stdout: nothing more to wait for
+                    event = json.loads(line)
+                    if isinstance(event, dict) and event.get("event") == "ready":
+                        self.ready = event
+                        self._reported_ready.set()
+        self._reported_ready.set()  # the end of stdout: nothing more to wait for
 
     def _read_stderr(self, log: Path) -> None:
         """Keep the lines in ``log``. On a full disk they are lost, and the service is still read."""
@@ -125,16 +125,16 @@ class Child:
 
     def _sort(self, line: str) -> None:
         """Keep what went wrong; what is no event is a refusal to start or a traceback."""
-        said = event_of(line)
-        if said is None or said.get("level", "info") != "info":
+        event = event_of(line)
+        if event is None or event.get("level", "info") != "info":
             self._last_error = line
-        if said is not None and (said.get("level") == "error" or said["event"] == "disk_low"):
+        if event is not None and (event.get("level") == "error" or event["event"] == "disk_low"):
             self._complain(f"{self.name}: {in_words(line)}")
 
     def wait_ready(self, say: Say, timeout_s: float = READY_TIMEOUT_S) -> None:
         """Wait for the ready line; ``say`` gets a note now and then. Raises ServiceFailed."""
         until_s = time.monotonic() + timeout_s
-        while not self._said_ready.wait(min(_NOTE_S, timeout_s)):
+        while not self._reported_ready.wait(min(_NOTE_S, timeout_s)):
             if time.monotonic() > until_s:
                 last = in_words(self._last_line) or "it said nothing"
                 raise ServiceFailed("service.not_ready", f"{self.name} in {timeout_s:.0f} s: {last}")
@@ -153,8 +153,8 @@ class Child:
             return "its output closed, and runs on"
         last_words = self._last_line if event_of(self._last_line) is None else ""
         # Who is killed says nothing of it: what it had complained of before is no reason.
-        said = last_words if status < 0 else in_words(self._last_error)
-        return how_it_ended(status, said)
+        event = last_words if status < 0 else in_words(self._last_error)
+        return how_it_ended(status, event)
 
     def _settle(self) -> int | None:
         """The exit status, once it and the last line of an ended process are known."""

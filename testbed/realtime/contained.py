@@ -26,17 +26,17 @@ def main(argv: list[str]) -> int:
     if records := os.environ.get(RECORDS):
         arguments += ["--record-dir", str(free_directory(Path(records) / module))]
     service = subprocess.Popen([sys.executable, "-m", module, *arguments])
-    asked_to_end = False
+    terminated = False
 
     def pass_on(number: int, _frame: FrameType | None) -> None:
-        nonlocal asked_to_end
-        asked_to_end = True
+        nonlocal terminated
+        terminated = True
         service.send_signal(number)
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, pass_on)
     status = service.wait()
-    if status not in (0, _REFUSED) and not asked_to_end:
+    if status not in (0, _REFUSED) and not terminated:
         how = how_it_ended(status, "its log says why" if status > 0 else "")
         note_incident(module, "service.crashed", f"{module} crashed with {how}; it is started anew")
         print(f"{module} crashed with {how}", file=sys.stderr)

@@ -5,17 +5,17 @@ import signal
 _FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT})
 
 
-def how_it_ended(status: int, said: str) -> str:
+def how_it_ended(status: int, reason: str) -> str:
     """Words on an exit ``status`` (negative: the signal's number).
 
-    ``said``: the reason that the process gave, empty where it gave none.
+    ``reason``: the reason that the process gave, empty where it gave none.
     """
     if status >= 0:
-        return f"status {status}: {said or 'it had reported no error'}"
+        return f"status {status}: {reason or 'it had reported no error'}"
     number = signal.Signals(-status)
     why = "somebody else ended it"
     if number in _FAULTS:
         why = "a fault in compiled code"
     elif number is signal.SIGKILL:
         why += ", or the machine ran out of memory"
-    return f"signal {number.name} ({why})" + (f"; it said {said}" if said else "")
+    return f"signal {number.name} ({why})" + (f"; it said {reason}" if reason else "")

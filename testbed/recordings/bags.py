@@ -40,18 +40,18 @@ class Extracted(NamedTuple):
 
 
 def extract_pictures(
-    bag: Path, asked: tuple[str | None, str | None], target: Path, report: Callable[[float], None]
+    bag: Path, wanted: tuple[str | None, str | None], target: Path, report: Callable[[float], None]
 ) -> Extracted:
     """Write the pictures of both eyes, named by their stamps, to ``left`` and ``right`` in ``target``.
 
-    ``bag``: of ROS 2 (a directory, .mcap or .db3) or ROS 1. ``asked``: topics, None: the one picture topic
+    ``bag``: of ROS 2 (a directory, .mcap or .db3) or ROS 1. ``wanted``: topics, None: the one picture topic
     with the eye in its name. Eyes whose CameraInfo is of rectified ones get ``calibration.yaml``. ``report``
     hears the share that is done. Raises ConfigurationError for what is no bag, has not these topics, or whose
     eyes no stamps bring together.
     """
     with _opened(bag) as reader:
         connections = [
-            _chosen(bag, reader.connections, eye, topic) for eye, topic in zip(EYES, asked, strict=True)
+            _chosen(bag, reader.connections, eye, topic) for eye, topic in zip(EYES, wanted, strict=True)
         ]
         taken = [(eye, one) for eye, one in zip(EYES, connections, strict=True)]
         total = sum(one.msgcount for one in connections)
@@ -99,16 +99,16 @@ def _opened(bag: Path) -> Iterator[AnyReader]:
         raise _bad(f"{bag}: no bag of ROS that can be read: {error}") from error
 
 
-def _chosen(bag: Path, connections: Sequence[Connection], eye: str, asked: str | None) -> Connection:
+def _chosen(bag: Path, connections: Sequence[Connection], eye: str, wanted: str | None) -> Connection:
     """The connection of an eye's pictures. Raises ConfigurationError."""
     pictures = {one.topic: one for one in connections if one.msgtype in (_RAW, _COMPRESSED)}
     listed = ", ".join(sorted(pictures)) or "none"
-    if asked is not None:
-        if asked in pictures:
-            return pictures[asked]
+    if wanted is not None:
+        if wanted in pictures:
+            return pictures[wanted]
         others = {one.topic: one.msgtype for one in connections}
-        what = f"is of {others[asked]}" if asked in others else "is not in it"
-        raise _bad(f"{bag}: {asked} {what}; topics of pictures: {listed}")
+        what = f"is of {others[wanted]}" if wanted in others else "is not in it"
+        raise _bad(f"{bag}: {wanted} {what}; topics of pictures: {listed}")
     named = [one for topic, one in pictures.items() if eye in topic.lower()]
     if len(named) != 1:
         several = f"{len(named)} topics of pictures have {eye!r} in their names"

@@ -30,12 +30,12 @@ def run_replay(file: Path, truth: Path | None = None, json_file: Path | None = N
     _show_compared(compared, recording)
     for damage in replay.damages:
         out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
-    figures = {"recorded_s": replay.recorded_s, "cpu_s": took_s, "pixels": made} | _figures(compared)
-    write_json(json_file, figures | {"damages": [damage._asdict() for damage in replay.damages]})
+    results = {"recorded_s": replay.recorded_s, "cpu_s": took_s, "pixels": made} | _results(compared)
+    write_json(json_file, results | {"damages": [damage._asdict() for damage in replay.damages]})
     return compared.identical and not replay.damages
 
 
-def _figures(compared: ReplayComparison) -> dict[str, Any]:
+def _results(compared: ReplayComparison) -> dict[str, Any]:
     return {
         "exact": compared.exact,
         "alike": dict(compared.alike),

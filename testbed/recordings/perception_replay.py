@@ -94,13 +94,13 @@ class PerceptionReplay:
             if topic in topics.IMAGES:
                 self._image(topic, record.data)
                 continue
-            said = _CLASSES[topic].FromString(record.data)
+            item = _CLASSES[topic].FromString(record.data)
             if topic == topics.FRAME:
-                frames.append(said)
+                frames.append(item)
                 continue
             while frames:
                 self._frame(frames.pop(0))
-            takers[topic](said)
+            takers[topic](item)
             first_ns = first_ns or record.log_time
             self.recorded_s = 1e-9 * (record.log_time - first_ns)
         return self.comparison
@@ -109,8 +109,8 @@ class PerceptionReplay:
         if isinstance(self._pixels, KeptPixels) and self._recording.images == "raw":
             self._pixels.add(topics.IMAGES.index(topic), RawImage.FromString(data))
 
-    def _frame(self, said: Any) -> None:
-        stamp = RecordedStamp(*(getattr(said, name) for name in RecordedStamp._fields))
+    def _frame(self, item: Any) -> None:
+        stamp = RecordedStamp(*(getattr(item, name) for name in RecordedStamp._fields))
         eyes = self._pixels.of(stamp)
         if eyes is None:
             why = f"frame {stamp.frame_id}: neither kept nor in the plant's recording"
@@ -126,76 +126,76 @@ class PerceptionReplay:
         while len(self._pairs) > _KEPT_FRAMES:
             del self._pairs[next(iter(self._pairs))]
 
-    def _observation(self, said: Any) -> None:
-        previous = self._replayed_observation(said)
-        found = self._sensor.observe(self._pair(said), previous)
-        before = said.previous if said.HasField("previous") else None
-        again = own.observation_bytes(own.NumberedObservation(said.number, before, said.corrected, found))
-        self._observations[said.number] = self._at[found.capture_ns] = found
-        self._observations.pop(said.number - _KEPT_OBSERVATIONS, None)
-        self.comparison.message(OBSERVATION, said.frame_id, said, again)
+    def _observation(self, item: Any) -> None:
+        previous = self._replayed_observation(item)
+        found = self._sensor.observe(self._pair(item), previous)
+        before = item.previous if item.HasField("previous") else None
+        again = own.observation_bytes(own.NumberedObservation(item.number, before, item.corrected, found))
+        self._observations[item.number] = self._at[found.capture_ns] = found
+        self._observations.pop(item.number - _KEPT_OBSERVATIONS, None)
+        self.comparison.message(OBSERVATION, item.frame_id, item, again)
 
-    def _odometry_start(self, said: Any) -> None:
-        self._odometry = {said.odometry: self._sensor.own_odometry(self._replayed_observation(said))}
+    def _odometry_start(self, item: Any) -> None:
+        self._odometry = {item.odometry: self._sensor.own_odometry(self._replayed_observation(item))}
         self._at = {time_ns: seen for time_ns, seen in self._at.items() if time_ns == max(self._at)}
         self._poses.clear()
 
-    def _replay_track(self, said: Any) -> None:
-        pair = self._pair(said)
+    def _replay_track(self, item: Any) -> None:
+        pair = self._pair(item)
         seen = self._at.get(pair.capture_ns)
-        X_CM = seen.X_CM if said.tool_given and seen is not None else None
-        odometry = self._odometry[said.odometry]
-        X_BT = np.reshape(said.X_BT, (4, 4)) if said.X_BT else None
+        X_CM = seen.X_CM if item.tool_given and seen is not None else None
+        odometry = self._odometry[item.odometry]
+        X_BT = np.reshape(item.X_BT, (4, 4)) if item.X_BT else None
         found = odometry.process(pair, X_CM, X_BT)
         if found is not None:
             self._poses[pair.capture_ns] = found
         made = own.TrackedFrame(
-            said.odometry,
+            item.odometry,
             pair.capture_ns,
             pair.frame_id,
             own.GivenWithFrame(X_CM is not None, X_BT),
             found or odometry.last_loss or "lost",
         )
-        self.comparison.message(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))
+        self.comparison.message(ODOMETRY, item.frame_id, item, own.tracked_bytes(made))
 
-    def _replay_fit(self, said: Any) -> None:
-        captures = tuple(said.captures_ns)
+    def _replay_fit(self, item: Any) -> None:
+        captures = tuple(item.captures_ns)
         found = self._sensor.errors([self._sample(capture_ns) for capture_ns in captures])
         self._errors = found or self._errors
-        self.comparison.message(ERRORS, len(captures), said, own.fitted_bytes(own.Fitted(captures, found)))
+        self.comparison.message(ERRORS, len(captures), item, own.fitted_bytes(own.Fitted(captures, found)))
 
-    def _look(self, said: Any) -> None:
+    def _look(self, item: Any) -> None:
         self._looks += 1
-        numbers = tuple(said.observations)
+        numbers = tuple(item.observations)
         seen = [self._observations[number] for number in numbers if number in self._observations]
         if len(seen) < len(numbers):
             difference = f"{len(numbers) - len(seen)} of {len(numbers)} observations are not in the recording"
-            self.comparison.different(LOOK, self._looks, said.time_ns, "observations", difference, "not made")
+            self.comparison.different(LOOK, self._looks, item.time_ns, "observations", difference, "not made")
             return
-        X_BT = np.reshape(said.X_BT, (4, 4))
+        X_BT = np.reshape(item.X_BT, (4, 4))
         try:
-            look = combine(seen, X_BT, said.time_ns, self._recording.config.look)
+            look = combine(seen, X_BT, item.time_ns, self._recording.config.look)
         except MeasurementFailed as error:
-            self.comparison.different(LOOK, self._looks, said.time_ns, "outcome", "a look", error.cause)
+            self.comparison.different(LOOK, self._looks, item.time_ns, "outcome", "a look", error.cause)
             return
-        self.comparison.message(LOOK, self._looks, said, own.look_bytes(own.CombinedLook(look, numbers)))
+        self.comparison.message(LOOK, self._looks, item, own.look_bytes(own.CombinedLook(look, numbers)))
 
-    def _pair(self, said: Any) -> StereoPair:
-        found = self._pairs.get((said.frame_id, said.capture_ns))
+    def _pair(self, item: Any) -> StereoPair:
+        found = self._pairs.get((item.frame_id, item.capture_ns))
         if found is None:
-            why = f"frame {said.frame_id}: measured in, but its pixels were not kept (frames_missed)"
+            why = f"frame {item.frame_id}: measured in, but its pixels were not kept (frames_missed)"
             raise RecordingUnreadable("recording.missing_frame", why)
         return found
 
-    def _replayed_observation(self, said: Any) -> FrameObservation | None:
+    def _replayed_observation(self, item: Any) -> FrameObservation | None:
         """The observation that this one went on from, as it came out again."""
-        if not said.HasField("previous"):
+        if not item.HasField("previous"):
             return None
-        found = self._observations.get(said.previous)
+        found = self._observations.get(item.previous)
         if found is None:
-            why = f"observation {said.previous} was made before the recording, or was lost"
+            why = f"observation {item.previous} was made before the recording, or was lost"
             raise RecordingUnreadable("recording.missing_observation", why)
-        if said.corrected and self._errors is not None:
+        if item.corrected and self._errors is not None:
             return found._replace(errors=self._errors, offset=self._errors.offset)
         return found
 

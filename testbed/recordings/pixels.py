@@ -67,7 +67,7 @@ class RenderedPixels:
         for record in recording.truths:
             if record.frame_id is not None:
                 view = CameraView(record.truth.X_WC, record.truth.X_WM, record.truth.X_WO)
-                now = [fault for said, fault in faults if _in_force(said, record.truth.time_ns)]
+                now = [fault for recorded, fault in faults if _in_force(recorded, record.truth.time_ns)]
                 if config.camera.shows_motion and record.motion is None:
                     why = f"{truth.name}: its camera shows motion within an exposure, which is not recorded"
                     raise RecordingUnreadable("recording.motion_not_recorded", why)
@@ -100,17 +100,17 @@ def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...
     return tuple(each for each in found if each[1] != each[2])
 
 
-def _is_ours(said: Mapping[str, Any]) -> bool:
+def _is_ours(recorded: Mapping[str, Any]) -> bool:
     """Whether it may act on pictures: one of your own acts on valves, encoders, pump, load alone."""
-    return said.get("kind") in FAULTS
+    return recorded.get("kind") in FAULTS
 
 
-def _fault(said: Mapping[str, Any]) -> Fault:
-    found: Fault = TypeAdapter(Fault).validate_python(dict(said))
+def _fault(recorded: Mapping[str, Any]) -> Fault:
+    found: Fault = TypeAdapter(Fault).validate_python(dict(recorded))
     return found
 
 
-def _in_force(said: FaultRecord, time_ns: int) -> bool:
-    if said.began_ns is None or time_ns < said.began_ns:
+def _in_force(recorded: FaultRecord, time_ns: int) -> bool:
+    if recorded.began_ns is None or time_ns < recorded.began_ns:
         return False
-    return said.ended_ns is None or time_ns < said.ended_ns
+    return recorded.ended_ns is None or time_ns < recorded.ended_ns

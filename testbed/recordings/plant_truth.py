@@ -96,9 +96,9 @@ def read_truth(path: Path) -> Recording:
 
 def _change(data: bytes) -> dict[str, Any]:
     """A step in the life of a fault, as ``FaultChange.as_dict`` told it."""
-    said = FaultMessage.FromString(data)
-    plain = {field.name: value for field, value in said.ListFields() if field.name != "fault_json"}
-    return plain | {"fault": json.loads(said.fault_json)}
+    message = FaultMessage.FromString(data)
+    plain = {field.name: value for field, value in message.ListFields() if field.name != "fault_json"}
+    return plain | {"fault": json.loads(message.fault_json)}
 
 
 def _further(known: FaultRecord | None, change: Mapping[str, Any], log_ns: int) -> FaultRecord:

@@ -78,8 +78,8 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def write_json(path: Path | None, figures: Mapping[str, Any]) -> None:
-    """Write ``figures`` to the file at ``path``, where one was asked for.
+def write_json(path: Path | None, results: Mapping[str, Any]) -> None:
+    """Write ``results`` to the file at ``path``, where one was asked for.
 
     Raises ConfigurationError when the file cannot be written.
     """
@@ -87,7 +87,7 @@ def write_json(path: Path | None, figures: Mapping[str, Any]) -> None:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(plain(results), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error
     if not Verbosity.quiet:

@@ -97,7 +97,7 @@ def _cells(errors: Errors | None) -> tuple[str, ...]:
     return (*(f"{value:+.2f}" for value in lengths), f"{angle:.2f}")
 
 
-def figures(outcome: Outcome) -> dict[str, Any]:
+def results(outcome: Outcome) -> dict[str, Any]:
     """All that is printed about ``outcome``, for a JSON file."""
     names = ("x_mm", "y_mm", "z_mm", "angle_deg")
     known = outcome._asdict()

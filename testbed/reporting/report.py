@@ -33,7 +33,7 @@ def write_report(
     events: Sequence[Mapping[str, Any]],
     run: Mapping[str, Any],
 ) -> Path:
-    """The HTML file, written to ``directory`` with ``figures.json`` and ``events.jsonl`` beside it.
+    """The HTML file, written to ``directory`` with ``results.json`` and ``events.jsonl`` beside it.
 
     It needs no other file and no network: the pictures are inside. ``run``: what made it.
     """
@@ -41,8 +41,8 @@ def write_report(
 
     lines = [json.dumps(plain(event), sort_keys=True, ensure_ascii=False) for event in events]
     (directory / "events.jsonl").write_text("".join(line + "\n" for line in lines), encoding="utf-8")
-    figures = outcomes.figures(outcome)
-    (directory / "figures.json").write_text(json.dumps(plain(figures), indent=2) + "\n", encoding="utf-8")
+    results = outcomes.results(outcome)
+    (directory / "figures.json").write_text(json.dumps(plain(results), indent=2) + "\n", encoding="utf-8")
     drawn = io.BytesIO()
     error_figure(trace, outcome.stages).savefig(drawn, format="png", dpi=110)
     caption = "True error over time and after each look; the shaded band and square are wanted in x and y"

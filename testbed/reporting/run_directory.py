@@ -66,7 +66,7 @@ def present(
     speed = outcome.simulated_s / outcome.wall_s
     out.print(f"{outcome.simulated_s:.1f} s of arm time in {outcome.wall_s:.1f} s ({speed:.2f} × real time)")
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
-    write_json(json_file, outcomes.figures(outcome))
+    write_json(json_file, outcomes.results(outcome))
     return outcome.passed
 
 

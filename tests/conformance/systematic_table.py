@@ -9,7 +9,7 @@ from typing import Any
 from conformance.reference.arm_transitions import number_of
 from controller.core.group_states import Stimulus
 from controller.core.requests import enter_mode
-from protocol.axes_group import ANSWERS, Asked, Mode, Transition
+from protocol.axes_group import ANSWERS, GroupRequest, Mode, Transition
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, ReferencePose, StreamRefused
 from protocol.session_events import StreamedPoseReceived
@@ -19,20 +19,20 @@ from tests.conformance.mutator import BrokenController, Make, hooked, with_cell
 # Where a request leads that is taken for one that acts. What leads to a motion without a way ends in the
 # same scan and cannot be told, so these drop the enable instead.
 _ELSEWHERE = {
-    Asked.ENABLE: Mode.STANDBY,
-    Asked.DISABLE: Mode.DISABLED,
-    Asked.STOP: Mode.DISABLED,
-    Asked.RESET: Mode.DISABLED,
-    Asked.EMERGENCY_STOP: Mode.ERROR_HELD,
-    Asked.EMERGENCY_RELEASE: Mode.ERROR_HELD,
-    Asked.START_STREAM: Mode.STREAMING,
-    Asked.END_STREAM: Mode.DISABLED,
-    Asked.MOVE: Mode.DISABLED,
-    Asked.STREAMED: Mode.DISABLED,
+    GroupRequest.ENABLE: Mode.STANDBY,
+    GroupRequest.DISABLE: Mode.DISABLED,
+    GroupRequest.STOP: Mode.DISABLED,
+    GroupRequest.RESET: Mode.DISABLED,
+    GroupRequest.EMERGENCY_STOP: Mode.ERROR_HELD,
+    GroupRequest.EMERGENCY_RELEASE: Mode.ERROR_HELD,
+    GroupRequest.START_STREAM: Mode.STREAMING,
+    GroupRequest.END_STREAM: Mode.DISABLED,
+    GroupRequest.MOVE: Mode.DISABLED,
+    GroupRequest.STREAMED: Mode.DISABLED,
 }
 
 
-def _takes_otherwise(cell: tuple[Mode, Asked], step: Transition) -> Make:
+def _takes_otherwise(cell: tuple[Mode, GroupRequest], step: Transition) -> Make:
     """Differs from 7.3 in one cell of a reference: it answers otherwise, or is in another mode after it."""
     mode, asked = cell
     right = ANSWERS[cell]
@@ -53,7 +53,7 @@ def _takes_otherwise(cell: tuple[Mode, Asked], step: Transition) -> Make:
         ControllerUnderTest._scan(self)
         if self.applies and step.mode is not right.mode:
             self.bench.state = enter_mode(self.settings, self.bench.state, step.mode)
-        if self.applies and asked is Asked.STREAMED and step.reason is not right.reason:
+        if self.applies and asked is GroupRequest.STREAMED and step.reason is not right.reason:
             stream = self.bench.state.motion.motion_id
             refused = StreamRefused(stream, next(iter(self.applies)), step.reason, 0.0, 0.0)
             self.applies = frozenset()
@@ -63,7 +63,7 @@ def _takes_otherwise(cell: tuple[Mode, Asked], step: Transition) -> Make:
         concerned = acknowledgement.command_id in self.applies
         return [acknowledgement._replace(reason=step.reason) if concerned else acknowledgement]
 
-    hook = {"judge": judge} if asked is Asked.MOVE else {"judge_streamed": judge_streamed}
+    hook = {"judge": judge} if asked is GroupRequest.MOVE else {"judge_streamed": judge_streamed}
     return hooked(_scan=scan, answered=answered, **hook, **members)
 
 
@@ -73,7 +73,7 @@ def wrong_reason(step: Transition) -> Transition:
     return step._replace(reason=Reason.ALREADY_DONE if accepted else Reason.ACCEPTED)
 
 
-def wrong_mode(mode: Mode, asked: Asked, step: Transition) -> Transition:
+def wrong_mode(mode: Mode, asked: GroupRequest, step: Transition) -> Transition:
     """``step`` to another mode: none where it acts, and where it does not, the one it leads to elsewhere."""
     if step.mode is not mode:
         return step._replace(mode=mode)
@@ -86,8 +86,8 @@ def wrong_mode(mode: Mode, asked: Asked, step: Transition) -> Transition:
 def _of_cells() -> Iterator[BrokenController]:
     for (mode, asked), step in ANSWERS.items():
         for what, wrong in (("answers", wrong_reason(step)), ("leads", wrong_mode(mode, asked, step))):
-            refused = asked is Asked.STREAMED and what == "answers" and mode is not Mode.STREAMING
-            by_table = refused or asked not in (Asked.MOVE, Asked.STREAMED)
+            refused = asked is GroupRequest.STREAMED and what == "answers" and mode is not Mode.STREAMING
+            by_table = refused or asked not in (GroupRequest.MOVE, GroupRequest.STREAMED)
             make = (
                 with_cell((mode, Stimulus(asked)), wrong)
                 if by_table

@@ -33,7 +33,7 @@ DEVICE, CLIENT = AmsAddress(b"\x7f\0\0\1\1\1", PORT), AmsAddress(b"\x0a\0\0\1\1\
 HANDLE, VALUE, RELEASE, DATA, SUM_READ, SUM_WRITE = 0xF003, 0xF005, 0xF006, 0x4040, 0xF080, 0xF081
 
 
-class Asked:
+class GroupRequest:
     """A device, and one client of it."""
 
     def __init__(self, writable: bool = False) -> None:
@@ -64,7 +64,7 @@ class Asked:
 
 
 def test_a_variable_is_read_by_handle_and_by_place_until_it_is_released() -> None:
-    asked = Asked()
+    asked = GroupRequest()
     handle = asked.handle("main.STPART.agrid[2,1]")
     assert asked.read(VALUE, handle, 2) == (0, struct.pack("<h", 21))
     symbol = asked.device.table.find("MAIN.afSix")
@@ -87,13 +87,13 @@ def test_a_variable_is_read_by_handle_and_by_place_until_it_is_released() -> Non
     ],
 )
 def test_an_unknown_name_is_no_symbol(name: str) -> None:
-    asked = Asked()
+    asked = GroupRequest()
     code, _ = asked.ask(9, "IIII", HANDLE, 0, 4, len(name), data=name.encode())
     assert code == AdsError.SYMBOL_NOT_FOUND
 
 
 def test_nothing_is_written_unless_it_is_allowed() -> None:
-    asked = Asked()
+    asked = GroupRequest()
     assert (
         asked.write(VALUE, asked.handle("MAIN.stPart.fGain"), struct.pack("<d", 3.0))
         == AdsError.INVALID_ACCESS
@@ -102,7 +102,7 @@ def test_nothing_is_written_unless_it_is_allowed() -> None:
 
 
 def test_only_whole_numbers_and_truths_are_written() -> None:
-    asked = Asked(writable=True)
+    asked = GroupRequest(writable=True)
     place = asked.device.table.find("MAIN.afSix[2]")
     assert place is not None
     for name, value, code in (
@@ -121,7 +121,7 @@ def test_only_whole_numbers_and_truths_are_written() -> None:
 
 
 def test_a_sum_answers_each_part_and_a_part_that_fails_leaves_the_others_in_place() -> None:
-    asked = Asked(writable=True)
+    asked = GroupRequest(writable=True)
     gain = asked.handle("MAIN.stPart.fGain")
     heads = struct.pack("<9I", VALUE, gain, 8, VALUE, 999, 4, VALUE, asked.handle("MAIN.xOn"), 1)
     code, rest = asked.ask(9, "IIII", SUM_READ, 3, 25, len(heads), data=heads)
@@ -135,7 +135,7 @@ def test_a_sum_answers_each_part_and_a_part_that_fails_leaves_the_others_in_plac
 
 
 def test_a_notification_comes_at_its_period_or_when_the_value_has_changed() -> None:
-    asked = Asked()
+    asked = GroupRequest()
     count = asked.handle("MAIN.nCount")
     for mode in (3, 4):
         assert asked.ask(6, "IIIIII16x", VALUE, count, 4, mode, 0, 100_000)[0] == 0
@@ -154,7 +154,7 @@ def test_a_notification_comes_at_its_period_or_when_the_value_has_changed() -> N
 
 
 def test_a_client_that_asks_for_ever_more_is_refused() -> None:
-    asked = Asked()
+    asked = GroupRequest()
     handles = [asked.handle("MAIN.xOn") for _ in range(HANDLES)]
     assert asked.ask(9, "IIII", HANDLE, 0, 4, 8, data=b"MAIN.xOn")[0] == AdsError.NO_MEMORY
     for _ in range(NOTIFICATIONS):

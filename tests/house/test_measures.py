@@ -13,22 +13,22 @@ from tests.house import measures
 # names what was asked for, and lowers another by as much. A patch may exceed it by PATCH; the next cut brings
 # the house below again (tests/packaging/test_contributions.py always adds one patch more).
 BUDGET = {
-    "lines of source": 83_017,
-    "statements of source": 41_344,
+    "lines of source": 82_732,
+    "statements of source": 41_183,
     "statements of ROS 2": 877,
-    "statements of conformance": 4_339,
+    "statements of conformance": 4_335,
     "statements of laboratory": 1_974,
     "statements of structured text": 2_579,
-    "statements of the product": 31_556,
-    "lines that the three services import": 50_245,
-    "lines of tests": 55_815,
-    "statements of tests": 30_244,
+    "statements of the product": 31_410,
+    "lines that the three services import": 50_005,
+    "lines of tests": 54_173,
+    "statements of tests": 29_074,
     # Asked for: the console holds time and shows its pace. For it went the fold of the valves' trials by eye.
     "lines of structured text, JavaScript, CSS and HTML": 8_493,
     "modules": 592,
     # Asked for: the page of the plant's clock (650 words) and its decision. For it went eight decisions and
     # the words of overload.
-    "words of pages": 46_312,
+    "words of pages": 46_301,
     "words of the README": 686,
     "configuration keys": 530,
     "constants of vision without a tag": 313,

@@ -8,13 +8,13 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
-from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
+from controller.shell.controller_metrics import METRICS as OF_CONTROLLER
+from plant_emulator.shell.plant_metrics import METRICS as OF_PLANT
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.foundation.live.viewing import WITHIN_S, watching
 from tests.integration.services import Running, running
 from tests.support.grafana import metrics
-from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
+from vision_pc.shell.rest.metrics import METRICS as OF_VISION
 
 pytestmark = pytest.mark.processes
 

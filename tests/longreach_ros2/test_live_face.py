@@ -14,7 +14,7 @@ from websockets.typing import Subprotocol
 from foundation.live import wire
 from foundation.recording.messages import format_of
 from longreach_ros2.__main__ import main
-from longreach_ros2.live_face import LiveMessage, live_messages
+from longreach_ros2.live_client import LiveMessage, live_messages
 from protocol.errors import ConfigurationError, LinkLost
 
 FORMAT = format_of(FrameTransforms)

@@ -46,7 +46,7 @@ class VisionApplication:
 
     ``calibration``, ``track`` and ``newest_look`` are the newest local calibration, local track and look,
     None before the first. ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the
-    guided session, if there is one on this rig. ``figures`` returns what the service counts of itself,
+    guided session, if there is one on this rig. ``metrics`` returns what the service counts of itself,
     ``incidents`` what became of the services themselves, the oldest first; ``looks`` is how many were taken.
     ``links`` are those of the arm's drawing, for who draws it. ``times_anew``: how often the machine has
     begun anew. ``doubts`` keeps what was seen elsewhere than it must be.
@@ -75,7 +75,7 @@ class VisionApplication:
         self.track: LocalTrack | None = None
         self.doubts = DoubtKeeper()
         self.positioning = settings.positioning
-        self.figures: Callable[[], dict[str, Any]] = dict
+        self.metrics: Callable[[], dict[str, Any]] = dict
         self.incidents: Callable[[], Sequence[ServiceIncident]] = tuple
         self.links: tuple[DhLink, ...] = ()
         self.looks = 0

@@ -54,7 +54,7 @@ class CameraEyes(FrameEyes[StereoPair]):
         self._camera = sensor.camera
         self._tool_id = config.markers.tool.id
         self._shown: deque[StereoPair] = deque(maxlen=_MOST_SHOWN)
-        self._asked: StereoPair | None = None  # of the last click that wants its place in the other eye
+        self._in_click: StereoPair | None = None  # of the last click that wants its place in the other eye
         self._carrier = carrier
 
     def status(self) -> CameraStatus:
@@ -110,11 +110,11 @@ class CameraEyes(FrameEyes[StereoPair]):
         pair = await self._clicked(frame_id, answers=click.other is not None)
         newest = await self._later(pair)
         X_BT = await self._at_rest_since(pair)
-        self._asked = None
+        self._in_click = None
         try:
             observation, found = await self.aside(lambda: self._measure_click(pair, click, newest))
         except TargetRefused as refused:
-            self._asked = pair if refused.candidates else None
+            self._in_click = pair if refused.candidates else None
             raise
         if self._latest is None:  # so that how far the tool has to go is told of the first click too
             self._latest = pair, observation
@@ -143,8 +143,8 @@ class CameraEyes(FrameEyes[StereoPair]):
         now_ns = self._runtime.clock.now_ns
         if frame_id is None:
             return await self._frames.frame_after(now_ns)
-        asked = self._asked if answers else None
-        for pair, kept_ns in [(asked, _ANSWERED_NS), *((shown, _KEPT_NS) for shown in self._shown)]:
+        clicked = self._in_click if answers else None
+        for pair, kept_ns in [(clicked, _ANSWERED_NS), *((shown, _KEPT_NS) for shown in self._shown)]:
             same = pair is not None and pair.frame_id & 0xFFFFFFFF == frame_id & 0xFFFFFFFF
             if pair is not None and same and now_ns - pair.capture_ns <= kept_ns:
                 return pair

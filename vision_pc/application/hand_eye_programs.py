@@ -61,8 +61,8 @@ def _row(
     )
 
 
-async def _start(application: VisionApplication, asked: StartSettings, report: Report) -> JSON:
-    return await application.guided.start(asked.name, asked.session, asked.seed, report)
+async def _start(application: VisionApplication, request: StartSettings, report: Report) -> JSON:
+    return await application.guided.start(request.name, request.session, request.seed, report)
 
 
 HAND_EYE_PROGRAMS = (
@@ -77,7 +77,7 @@ HAND_EYE_PROGRAMS = (
     _row(
         "next",
         "Propose and drive until the controller accepts a pose",
-        lambda app, asked, report: app.guided.next_pose(report, asked.informative),
+        lambda app, request, report: app.guided.next_pose(report, request.informative),
         MOVING,
         NextBody,
     ),

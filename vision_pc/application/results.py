@@ -31,10 +31,10 @@ class JudgedLook(NamedTuple):
 
     def __repr__(self) -> str:
         errors = zip("xyz", 1e3 * self.verdict.error_m, 1e3 * self.verdict.std_m, strict=True)
-        said = ", ".join(f"{axis} {error:+.2f} ± {std:.2f}" for axis, error, std in errors)
+        summary = ", ".join(f"{axis} {error:+.2f} ± {std:.2f}" for axis, error, std in errors)
         where = "inside" if self.verdict.inside else "outside"
         limit = f"±{1e3 * self.verdict.tolerance_m:g} mm in x and y"
-        return f"<look of {self.look.frames} frames: {said} mm, {where} {limit}>"
+        return f"<look of {self.look.frames} frames: {summary} mm, {where} {limit}>"
 
 
 class LineEquationResult(NamedTuple):

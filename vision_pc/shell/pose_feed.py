@@ -18,7 +18,7 @@ from vision_pc.core.odometry.foreign_poses import TimedPose
 _KEPT = 600
 _LONGEST = 8192
 _POLL_S = 0.2
-_TOLD_S = 5.0
+_LOG_EVERY_S = 5.0
 
 
 def pose_of(line: str) -> tuple[float, se3.Array]:
@@ -104,6 +104,6 @@ class UdpPoseFeed:
     def _refuse(self, why: str) -> None:
         self.refused += 1
         now_s = time.monotonic()
-        if now_s - self._logged_s > _TOLD_S:
+        if now_s - self._logged_s > _LOG_EVERY_S:
             self._logged_s = now_s
             self._log.write("pose_refused", "warning", cause="feed.bad_pose", detail=why, count=self.refused)

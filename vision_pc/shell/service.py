@@ -25,7 +25,7 @@ from foundation.rest.server import RestServer, service_socket
 from foundation.rest.tokens import WARNING, access_without_token, without_token
 from foundation.secret_source import bound_tcp, read_key
 from foundation.self_watch import DiskWatch, resident_mb
-from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
+from foundation.service_main import ServiceOptions, on_termination, say_ready
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dimensions, joint_ranges
 from protocol.errors import ConfigurationError
@@ -163,7 +163,7 @@ class VisionService:
         arm = LinkArm(link, config.motion)
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         made = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
-        made.figures, made.incidents = self._counters, incidents_here().newest
+        made.metrics, made.incidents = self._counters, incidents_here().newest
         made.links, self._metrics_text = nominal.links, partial(metrics_text, made)
         return made
 
@@ -195,7 +195,7 @@ class VisionService:
             leave()
 
         self._door.stopped, self._door.gone = end_operation, door_gone
-        when_asked_to_end(leave)
+        on_termination(leave)
 
     def _record_from(self, eyes: CameraEyes, application: VisionApplication) -> None:
         if self._recorder is not None:

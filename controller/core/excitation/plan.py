@@ -125,7 +125,7 @@ class Phase(IntEnum):
     RETURNING = 6
 
 
-class Trouble(NamedTuple):
+class Failure(NamedTuple):
     """Why an excitation was broken off: cause (``commissioning.…``), joint, value and limit (SI, bar)."""
 
     cause: str

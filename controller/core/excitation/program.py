@@ -14,10 +14,10 @@ from controller.core.excitation.plan import (
     N_JOINTS,
     Excitation,
     ExcitationPlan,
+    Failure,
     Measured,
     Phase,
     StrokeKind,
-    Trouble,
     begun,
     driven,
 )
@@ -38,12 +38,12 @@ _UNLOADED = np.zeros(N_JOINTS)
 
 class ExcitationProgram(NamedTuple):
     """``inner``: the scan's own. ``excitation``: None until the group was enabled; ``stroke``: the first one
-    of the joint that comes next. ``trouble``: what broke the latest excitation off."""
+    of the joint that comes next. ``failure``: what broke the latest excitation off."""
 
     inner: ScanState
     excitation: Excitation | None = None
     stroke: int = 0
-    trouble: Trouble | None = None
+    failure: Failure | None = None
 
     def finished(self, settings: ExcitationPlan) -> bool:
         """Return True once every stroke was driven."""
@@ -115,7 +115,7 @@ def _start_program(state: ExcitationProgram) -> ExcitationProgram:
     motion = start_motion(standing, inner.motion.motion_id)
     excitation = begun(inner.watch.q_meas, state.stroke)
     return state._replace(
-        inner=inner._replace(mode=Mode.MOVING, motion=motion), excitation=excitation, trouble=None
+        inner=inner._replace(mode=Mode.MOVING, motion=motion), excitation=excitation, failure=None
     )
 
 
@@ -141,11 +141,11 @@ def _excited(
     servo = settings.servo
     full_speed = full_spool_speeds(servo.drives, watch.q_meas, servo.rated, servo.rated, _UNLOADED)
     greatest = max(max(pair) for pair in sensors.pressures_bar)
-    now, trouble = excite(plan, before, Measured(watch.q_meas, greatest), inputs.dt_s)
+    now, failure = excite(plan, before, Measured(watch.q_meas, greatest), inputs.dt_s)
     state = state._replace(excitation=now)
-    if trouble is not None:
-        events.append(ScanEvent("excitation", trouble.cause, trouble.value, trouble.limit))
-        state = state._replace(trouble=trouble)
+    if failure is not None:
+        events.append(ScanEvent("excitation", failure.cause, failure.value, failure.limit))
+        state = state._replace(failure=failure)
     elif now.stroke != before.stroke:
         state = _next_stroke(plan, state, events)
     if now.phase is Phase.ENDED:

@@ -20,11 +20,11 @@ from controller.core.excitation.plan import (
     Excitation,
     ExcitationLimits,
     ExcitationPlan,
+    Failure,
     Measured,
     Phase,
     Stroke,
     StrokeKind,
-    Trouble,
     sense_of,
     turned_by,
 )
@@ -45,7 +45,7 @@ _OSCILLATIONS = 4  # [D] reversals of the speed in one stroke
 _OVER = 1.6  # [D] of the travel asked for, at which the stroke is broken off
 
 
-def room_for(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Trouble | None]:
+def room_for(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Failure | None]:
     """The sense in which the joint has room for its strokes."""
     need = _OVER * float(limits.travel[joint])
     low, high = limits.joint_range[:, joint]
@@ -53,10 +53,10 @@ def room_for(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Tro
         return 1.0, None
     if q - low >= need and high - q >= 0.5 * need:
         return -1.0, None
-    return 1.0, Trouble("commissioning.no_room", joint, float(max(high - q, q - low)), need)
+    return 1.0, Failure("commissioning.no_room", joint, float(max(high - q, q - low)), need)
 
 
-def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen: Measured) -> Trouble | None:
+def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen: Measured) -> Failure | None:
     """The first limit that the running stroke has broken; None while it is inside all of them."""
     joint, sense = stroke.joint, sense_of(state, stroke)
     turned, speed = turned_by(state, stroke, seen.q), abs(float(state.speed[joint]))
@@ -87,7 +87,7 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
     )
     for broken, cause, value, limit in checks:
         if broken:
-            return Trouble(f"commissioning.{cause}", joint, value, limit)
+            return Failure(f"commissioning.{cause}", joint, value, limit)
     return None
 
 
@@ -111,7 +111,7 @@ _RUNS_AWAY = 1.5  # [D] times a ramp's top speed, at which a step has shown enou
 
 def excite(
     settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float
-) -> tuple[Excitation, Trouble | None]:
+) -> tuple[Excitation, Failure | None]:
     """The next state, and what broke the excitation off; its ``spool`` is what to command."""
     if state.phase is Phase.ENDED:
         return state, None
@@ -121,9 +121,9 @@ def excite(
         return _rest(settings, state, seen, dt_s)
     if state.phase is Phase.RETURNING:
         return _brought_back(settings, state, seen, dt_s)
-    trouble = broken_off(limits, stroke, state, seen)
-    if trouble is not None:
-        return ended(state), trouble
+    failure = broken_off(limits, stroke, state, seen)
+    if failure is not None:
+        return ended(state), failure
     state = state._replace(phase_s=state.phase_s + dt_s, stroke_s=state.stroke_s + dt_s)
     if stroke.kind is StrokeKind.SEARCH:
         return _search(settings, state, seen.q, dt_s), None
@@ -161,12 +161,12 @@ def _observed(state: Excitation, q: Array, joint: int, dt_s: float) -> Excitatio
 
 def _rest(
     settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float
-) -> tuple[Excitation, Trouble | None]:
+) -> tuple[Excitation, Failure | None]:
     q, limits, stroke = seen.q, settings.limits, settings.strokes[state.stroke]
     state = state._replace(phase_s=state.phase_s + dt_s)
     if state.phase_s > PATIENCE_S:
         speed = abs(float(state.speed[stroke.joint]))
-        return ended(state), Trouble("commissioning.not_at_rest", stroke.joint, speed, _STILL_RAD_S)
+        return ended(state), Failure("commissioning.not_at_rest", stroke.joint, speed, _STILL_RAD_S)
     if min(state.still_s, state.phase_s) < REST_S:
         return state, None
     crept = np.abs(q - state.place)
@@ -176,9 +176,9 @@ def _rest(
         back = state._replace(phase=Phase.RETURNING, phase_s=0.0, spool=0.0, q_start=q, returning=who)
         return back, None
     if stroke.kind is StrokeKind.SEARCH and stroke.outward:
-        away, trouble = room_for(limits, stroke.joint, float(q[stroke.joint]))
-        if trouble is not None:
-            return ended(state), trouble
+        away, failure = room_for(limits, stroke.joint, float(q[stroke.joint]))
+        if failure is not None:
+            return ended(state), failure
         state = state._replace(home=float(q[stroke.joint]), away=away)
     phase = Phase.HOLDING if stroke.kind is StrokeKind.STEP else Phase.RISING
     state = state._replace(phase=phase, phase_s=0.0, stroke_s=0.0, still_s=0.0, q_start=q, low_speed=0.0)
@@ -188,7 +188,7 @@ def _rest(
 
 def _brought_back(
     settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float
-) -> tuple[Excitation, Trouble | None]:
+) -> tuple[Excitation, Failure | None]:
     """One scan of a joint's slow return to where it stood, its valve's deadband being unknown."""
     limits, joint = settings.limits, state.returning
     assert joint is not None
@@ -204,7 +204,7 @@ def _brought_back(
     )
     for broken, cause, value, limit in checks:
         if broken:
-            return ended(state), Trouble(f"commissioning.{cause}", joint, value, limit)
+            return ended(state), Failure(f"commissioning.{cause}", joint, value, limit)
     if sense * missing <= _BACK_RAD:
         rest = state._replace(phase=Phase.RESTING, phase_s=0.0, still_s=0.0, spool=0.0, returning=None)
         return rest, None

@@ -75,16 +75,16 @@ def follow(
     if refusal is not None:
         return refusal
     p, quaternion = np.empty(3), np.empty(4)
-    said = np.array((*reference.X_BT_ref.p_m, *reference.X_BT_ref.q_wxyz, *reference.twist_ref))
+    numbers = np.array((*reference.X_BT_ref.p_m, *reference.X_BT_ref.q_wxyz, *reference.twist_ref))
     scale, age_s = reference.X_BT_ref.quaternion_norm(), (now_ns - arrival.measured_ns) * 1e-9
-    distance, turn = _carried_on(said, scale, age_s, desired, p, quaternion)
+    distance, turn = _carried_on(numbers, scale, age_s, desired, p, quaternion)
     refusal = _near(settings, distance, turn)
     if refusal is not None:
         return refusal
     found = survey_straight(settings.planning, desired.p, desired.quaternion, (p, quaternion), q_meas)
     if found[0] is not Reason.ACCEPTED:
         return Refusal(*found)
-    planned = approach(desired, p, quaternion, said[7:], limits)
+    planned = approach(desired, p, quaternion, numbers[7:], limits)
     if planned is None:
         return Refusal(Reason.TOO_FAST, max(map(abs, reference.twist_ref)), max(most))
     goal = Goal(p, quaternion, limits)
@@ -147,18 +147,18 @@ def _runs_away(twist: tuple[float, ...], most: list[float]) -> Refusal | None:
 
 @kernel
 def _carried_on(
-    said: Array, scale: float, age_s: float, desired: Desired, p: Array, quaternion: Array
+    numbers: Array, scale: float, age_s: float, desired: Desired, p: Array, quaternion: Array
 ) -> tuple[float, float]:
-    """Fill p (3,), quaternion (4,): where the pose is that ``said`` with its twist (13,) ``age_s`` ago.
+    """Fill p (3,), quaternion (4,): where the pose is that ``numbers`` with its twist (13,) ``age_s`` ago.
 
     ``scale``: the norm of its quaternion. Returns how far that is from ``desired``, m and rad.
     """
-    moved = exponential((age_s * said[10], age_s * said[11], age_s * said[12]))
-    there = product(moved, (said[3] / scale, said[4] / scale, said[5] / scale, said[6] / scale))
+    moved = exponential((age_s * numbers[10], age_s * numbers[11], age_s * numbers[12]))
+    there = product(moved, (numbers[3] / scale, numbers[4] / scale, numbers[5] / scale, numbers[6] / scale))
     for k in range(4):
         quaternion[k] = there[k]
     for k in range(3):
-        p[k] = said[k] + age_s * said[7 + k]
+        p[k] = numbers[k] + age_s * numbers[7 + k]
     away = p[0] - desired.p[0], p[1] - desired.p[1], p[2] - desired.p[2]
     half = norm(orientation_error(quaternion, desired.quaternion))
     return norm(away), 2.0 * math.asin(min(1.0, half))

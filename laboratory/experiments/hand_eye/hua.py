@@ -33,9 +33,9 @@ class NoiseSettings(NamedTuple):
 
 def sweep_tasks(request: CampaignRequest, settings: NoiseSettings) -> list[Task]:
     """One task a level, with all its runs."""
-    asked: Task = {"runs": request.runs, "seed": request.seed}
+    common: Task = {"runs": request.runs, "seed": request.seed}
     levels = range(1, settings.largest + 1)
-    return [{"key": f"{request.runs}-{request.seed}-{level}", "level": level} | asked for level in levels]
+    return [{"key": f"{request.runs}-{request.seed}-{level}", "level": level} | common for level in levels]
 
 
 def _sweep(done: Finished[NoiseSettings]) -> list[SweepRow]:
@@ -113,7 +113,7 @@ NOISE = Experiment(
     run=level_of,
     tables=sweep_tables,
     verdict=sweep_verdict,
-    figures=lambda done: {"rows": _sweep(done)},
+    results=lambda done: {"rows": _sweep(done)},
     runs=200,
     world="poses of the paper's Table 1",
     eyes="none: poses with noise",
@@ -123,8 +123,8 @@ NOISE = Experiment(
 def localisation_tasks(request: CampaignRequest, settings: LocalisationSettings) -> list[Task]:
     """One task a calibration."""
     seed, repetitions = request.seed, settings.repetitions
-    asked: Task = {"repetitions": repetitions, "seed": seed}
-    return [{"key": f"{seed}-{repetitions}-{run}", "run": run} | asked for run in range(request.runs)]
+    common: Task = {"repetitions": repetitions, "seed": seed}
+    return [{"key": f"{seed}-{repetitions}-{run}", "run": run} | common for run in range(request.runs)]
 
 
 def _localisation_rows(done: Finished[LocalisationSettings]) -> list[LocalisationRow]:
@@ -170,7 +170,7 @@ LOCALISATION = Experiment(
     run=localisation.calibration_row,
     tables=localisation_tables,
     verdict=localisation_verdict,
-    figures=lambda done: {"rows": _localisation_rows(done)},
+    results=lambda done: {"rows": _localisation_rows(done)},
     runs=50,
     world="poses of the paper's Table 1, with 5 bad samples of 17",
     eyes="none: poses with noise",

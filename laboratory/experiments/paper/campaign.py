@@ -186,7 +186,7 @@ PAPER = Experiment(
     tables=paper_tables,
     verdict=paper_verdict,
     plot=paper_plot,
-    figures=lambda done: {
+    results=lambda done: {
         "compared": _comparisons(done),
         "conclusions": _conclusions(done),
         "rows": by_kind(done),

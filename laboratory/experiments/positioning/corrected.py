@@ -55,12 +55,12 @@ class DrawnSettings(NamedTuple):
 
 def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list[Task]:
     """One task a run; with both arms, seeds take them in turn."""
-    asked: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes)}
-    asked |= {"assignments": settings.assignments or []}
-    asked |= {name: True for name in ("adapting", "commissioned", "own_file") if getattr(settings, name)}
+    choice: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes)}
+    choice |= {"assignments": settings.assignments or []}
+    choice |= {name: True for name in ("adapting", "commissioned", "own_file") if getattr(settings, name)}
     arms = ARMS if settings.arm == BOTH_ARMS else (settings.arm or WORLDS[settings.world].arm,)
     return [
-        {"key": f"{arm}-{seed}", "seed": seed, "arm": arm} | asked
+        {"key": f"{arm}-{seed}", "seed": seed, "arm": arm} | choice
         for seed in seeds(request)
         for arm in [arms[seed % len(arms)]]
     ]
@@ -106,9 +106,9 @@ def _errors(arm: str, rows: Sequence[Row]) -> Table:
             [column(rows, f"{name}_measured_{a}_mm") - column(rows, f"{name}_true_{a}_mm") for a in "xy"]
         )
         rms = np.sqrt(np.nanmean(apart**2)) if np.isfinite(apart).any() else np.nan
-        figures = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)] + [rms]
+        statistics = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)] + [rms]
         within = f"{np.count_nonzero(worst <= LIMIT_MM)} of {len(rows)}"
-        shown.append([what, within, *(f"{figure:.2f}" for figure in figures)])
+        shown.append([what, within, *(f"{figure:.2f}" for figure in statistics)])
     headings = ["after", "within 5 mm", "median", "95 %", "worst", "|z| median", "95 %", "measured − true"]
     return table(f"arm {arm}, {len(rows)} runs: worse of true |x| and |y|, mm", headings, shown)
 

@@ -93,14 +93,14 @@ def settings_of(
     """What was drawn (``unturned`` as of ``draw``), ``over`` it, vision that adapts and a commissioned
     controller where they are asked for, and what was assigned over it.
     """
-    asked = merged(drawn_by(config_dir, task, unturned).overrides, over or {})
+    over_it = merged(drawn_by(config_dir, task, unturned).overrides, over or {})
     if task.get("adapting"):
-        asked = merged(asked, {"vision": adapting(config_dir)})
-    asked = merged(asked, parse_overrides(task["assignments"]))
-    settings = load_settings(config_dir, asked)
+        over_it = merged(over_it, {"vision": adapting(config_dir)})
+    over_it = merged(over_it, parse_overrides(task["assignments"]))
+    settings = load_settings(config_dir, over_it)
     if not (task.get("commissioned") or task.get("own_file")):
         return settings
-    return commissioned(config_dir, asked, settings, task["seed"], own_file=bool(task.get("own_file")))
+    return commissioned(config_dir, over_it, settings, task["seed"], own_file=bool(task.get("own_file")))
 
 
 def adapting(config_dir: Path) -> JSON:
@@ -110,21 +110,21 @@ def adapting(config_dir: Path) -> JSON:
 
 def commissioned(
     config_dir: Path,
-    asked: JSON,
+    over_it: JSON,
     settings: Settings,
     seed: int,
     *,
     own_file: bool = False,
 ) -> Settings:
-    """``settings``, which come from ``asked``, with the valves' plates read and ``stated_commissioning``.
+    """``settings``, which come from ``over_it``, with the valves' plates read and ``stated_commissioning``.
 
     ``own_file``: the machine commissions itself, and makes a file of its own in place of the stated one.
     """
     compensated = settings.plant.valves.compensator_bar > 0.0
     plates = {"name": settings.plant.valve_set, "pressure_compensated": compensated}
-    asked = merged(asked, {"controller": {"valves": plates}})
-    settings = load_settings(config_dir, asked)
-    found = own_commissioning(config_dir, asked, seed) if own_file else stated_commissioning(settings, seed)
+    over_it = merged(over_it, {"controller": {"valves": plates}})
+    settings = load_settings(config_dir, over_it)
+    found = own_commissioning(config_dir, over_it, seed) if own_file else stated_commissioning(settings, seed)
     return settings._replace(controller=settings.controller.model_copy(update={"commissioned": found}))
 
 

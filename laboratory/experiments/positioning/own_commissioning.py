@@ -27,29 +27,29 @@ def excited(settings: Settings, joints: Sequence[int], seed: int) -> tuple[list[
     Raises MeasurementFailed with the cause that broke them off.
     """
     world, recordings = World(with_excitation(settings, joints), seed, RunLog()), list[JointRecording]()
-    arm_s, trouble = excite_in_lockstep(
+    arm_s, failure = excite_in_lockstep(
         world,
         lambda *trial: recordings.append(recording_of(settings.arm, *trial)),
         lambda _progress, _note: None,
     )
-    if trouble is not None:
-        name = JOINT_NAMES[trouble.joint]
-        raise MeasurementFailed(trouble.cause, f"{name}: {trouble.value:.4g}, limit {trouble.limit:.4g}")
+    if failure is not None:
+        name = JOINT_NAMES[failure.joint]
+        raise MeasurementFailed(failure.cause, f"{name}: {failure.value:.4g}, limit {failure.limit:.4g}")
     return recordings, arm_s
 
 
 def own_commissioning(
     config_dir: Path,
-    asked: dict[str, Any],
+    overrides: dict[str, Any],
     seed: int,
     joints: Sequence[int] = range(N_JOINTS),
 ) -> Commissioned:
-    """The file that the machine of the overrides ``asked`` makes of itself, its tool empty.
+    """The file that the machine of the overrides ``overrides`` makes of itself, its tool empty.
 
     Raises MeasurementFailed with the cause that broke the trials off, or for which a joint's numbers are
     refused: as for a user, there is no file then.
     """
-    settings = load_settings(config_dir, merged(asked, _EMPTY))
+    settings = load_settings(config_dir, merged(overrides, _EMPTY))
     recordings, _ = excited(settings, joints, seed)
     compensated = settings.controller.valves.pressure_compensated
     found = {one.joint: joint_findings(one, compensated) for one in recordings}

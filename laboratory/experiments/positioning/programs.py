@@ -93,11 +93,11 @@ def programs_tasks(request: CampaignRequest, settings: ProgramsSettings) -> list
     world = load_scenario(request.config_dir, settings.scenario).world(request.seed)
     assignments = settings.assignments or []
     load_settings(request.config_dir, merged(world, parse_overrides(assignments)))
-    asked: Task = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments}
-    asked |= {"form": str(settings.form)}
+    chosen: Task = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments}
+    chosen |= {"form": str(settings.form)}
     fault_orders(settings.fault or [])
-    asked |= {name: some for name in ("program", "fault") if (some := getattr(settings, name))}
-    return [{"key": f"seed-{seed}", "seed": seed} | asked for seed in seeds(request)]
+    chosen |= {name: some for name in ("program", "fault") if (some := getattr(settings, name))}
+    return [{"key": f"seed-{seed}", "seed": seed} | chosen for seed in seeds(request)]
 
 
 def worst_after(rows: Sequence[Row], look: int) -> Array:
@@ -112,11 +112,11 @@ def programs_tables(done: Finished[ProgramsSettings]) -> list[Table]:
     for look in range(1, done.settings.ends + 1):
         worst = worst_after(done.rows, look)
         under = [int((worst < limit).sum()) for limit in LIMITS_MM]
-        figures = [f"{quantile(worst, percent):.2f}" for percent in (50, 95)]
+        statistics = [f"{quantile(worst, percent):.2f}" for percent in (50, 95)]
         drawn = [row["nees"][look - 1] for row in done.rows if len(row.get("nees") or ()) >= look]
         moved = [nees for nees in drawn if nees is not None]
         honest = f"{np.mean(moved):.2f} of {len(moved)}" if moved else "–"
-        cells.append([look, len(worst), *under, *figures, honest, int(np.isinf(worst).sum())])
+        cells.append([look, len(worst), *under, *statistics, honest, int(np.isinf(worst).sum())])
     heads = ["look", "runs", *(f"under {limit:g} mm" for limit in LIMITS_MM), "median mm", "95 % mm"]
     heads += ["error² over predicted variance", "not reached"]
     return [table("worse of true |x| and |y|", heads, cells)]

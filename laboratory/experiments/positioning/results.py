@@ -71,23 +71,23 @@ def _distances(rows: Sequence[Row], of: str) -> Array:
     return column(rows, f"{of}_distance2")
 
 
-def checks_of(rows: Sequence[Row], asked: Demands) -> list[Check]:
+def checks_of(rows: Sequence[Row], demands: Demands) -> list[Check]:
     """What a world asks of the rows of one arm. A run that failed counts as failed in every share."""
     one, shot, two = (worst_mm(rows, name) for name in ("look1", "one_shot", "look2"))
     looks = {"at the start": "look1_first", "after one": "look1_last", "after two": "look2_last"}
     return [
-        at_least("one look: share within 5 mm", share(one, LIMIT_MM), asked.one_look),
-        at_least("one shot: share within 5 mm", share(shot, LIMIT_MM), asked.open_loop),
-        at_least("two looks: share within 5 mm", share(two, LIMIT_MM), asked.two_looks),
-        at_most("two looks: median", quantile(two, 50), asked.median_mm, "mm"),
-        at_most("two looks: 95 %", quantile(two, 95), asked.q95_mm, "mm"),
-        *prediction_checks("one look", rows, "look1_before", asked.honest),
+        at_least("one look: share within 5 mm", share(one, LIMIT_MM), demands.one_look),
+        at_least("one shot: share within 5 mm", share(shot, LIMIT_MM), demands.open_loop),
+        at_least("two looks: share within 5 mm", share(two, LIMIT_MM), demands.two_looks),
+        at_most("two looks: median", quantile(two, 50), demands.median_mm, "mm"),
+        at_most("two looks: 95 %", quantile(two, 95), demands.q95_mm, "mm"),
+        *prediction_checks("one look", rows, "look1_before", demands.honest),
         *prediction_checks("two looks", rows, "look2_before", False),
         *prediction_checks("one shot", rows, "one_shot_before", False),
         *(
             check
             for where, of in looks.items()
-            for check in prediction_checks(f"a look {where}", rows, of, asked.honest)[:2]
+            for check in prediction_checks(f"a look {where}", rows, of, demands.honest)[:2]
         ),
     ]
 

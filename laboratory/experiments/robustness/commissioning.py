@@ -153,8 +153,8 @@ def commissioning_tables(done: Finished[CommissioningOptions]) -> list[Table]:
         if rows:
             errors, later = np.abs(_both_senses(rows, "percent")), int(column(rows, "later").sum())
             seconds = f"{column(rows, 'arm_s').mean():.0f}"
-            figures = f"{np.median(errors):.2f}", f"{errors.max():.2f}", seconds
-            lines.append((arm, kind, len(rows), later, *figures))
+            statistics = f"{np.median(errors):.2f}", f"{errors.max():.2f}", seconds
+            lines.append((arm, kind, len(rows), later, *statistics))
     headings = (
         "arm", "valves", "joints", "return edge last", "deadband, median %", "worst %", "s a joint",
     )  # fmt: skip

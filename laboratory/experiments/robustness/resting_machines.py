@@ -69,9 +69,9 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     if task.get("cooling"):
         cools = {"errors": {"cooling_oil": {"enabled": True}}, "oil": {"temperature_degc": _WARM_DEGC}}
         own = merged(own, {"plant": cools})
-    asked = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
-    settings = load_settings(config_dir, asked)
-    settings = commissioned(config_dir, asked, settings, task["seed"])
+    over_all = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
+    settings = load_settings(config_dir, over_all)
+    settings = commissioned(config_dir, over_all, settings, task["seed"])
     return DrawnMachine(settings, mass_kg, rng)
 
 

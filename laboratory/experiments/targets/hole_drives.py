@@ -37,7 +37,7 @@ from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused
 
 _INSIDE = 0.98
-ASKED = 200  # machines whose share inside is asked for: of fewer no limit is called met
+LEAST_RUNS = 200  # machines whose share inside is asked for: of fewer no limit is called met
 _STREAM = 0x686F6C65
 
 
@@ -53,11 +53,11 @@ class HoleDriveSettings(NamedTuple):
 
 def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> list[Task]:
     """One task a seed."""
-    asked: Task = {"world": str(settings.world), "arm": settings.arm}
-    asked["assignments"] = settings.assignments or []
-    asked |= {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
+    options: Task = {"world": str(settings.world), "arm": settings.arm}
+    options["assignments"] = settings.assignments or []
+    options |= {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
     return [
-        {"key": f"{settings.world}-{settings.arm}-{seed}", "seed": seed} | asked for seed in seeds(request)
+        {"key": f"{settings.world}-{settings.arm}-{seed}", "seed": seed} | options for seed in seeds(request)
     ]
 
 
@@ -126,9 +126,9 @@ def click_hole(rig: LockstepRig, places: Array) -> tuple[str, int]:
 def hole_drive_tables(done: Finished[HoleDriveSettings]) -> list[Table]:
     """Errors and the arm's time."""
     worst, seconds = (column(done.rows, name) for name in ("worst_mm", "seconds"))
-    figures = [f"{quantile(worst, percent):.2f}" for percent in (50, 95, 100)]
+    statistics = [f"{quantile(worst, percent):.2f}" for percent in (50, 95, 100)]
     heads = ["drives", "within 5 mm", "worse of |x|, |y| mm: median", "95 %", "worst", "s a hole"]
-    cells = [[len(worst), f"{share(worst, LIMIT_MM):.0%}", *figures, f"{quantile(seconds, 50):.0f}"]]
+    cells = [[len(worst), f"{share(worst, LIMIT_MM):.0%}", *statistics, f"{quantile(seconds, 50):.0f}"]]
     return [table("true error at drill holes, no marker on the wall, one look each", heads, cells)]
 
 
@@ -141,9 +141,9 @@ def hole_drive_verdict(done: Finished[HoleDriveSettings]) -> list[Check]:
     limit = _INSIDE if done.settings.world is WorldName.LAB else None
     what = f"one look to a hole, {len(worst)} driven to: share within 5 mm"
     check = at_least(what, share(worst, LIMIT_MM), limit)
-    if check.asked:
-        few = len(worst) < ASKED and check.met
-        check = check._replace(asked=f"{check.asked} of {ASKED}", met=None if few else check.met)
+    if check.goal:
+        few = len(worst) < LEAST_RUNS and check.met
+        check = check._replace(goal=f"{check.goal} of {LEAST_RUNS}", met=None if few else check.met)
     return [check, at_most("one look to a hole: 95 %", quantile(worst, 95), None, "mm")]
 
 

@@ -96,12 +96,12 @@ class Injection(NamedTuple):
         """How long it has been in force at ``now_ns``."""
         return 1e-9 * (now_ns - self.start_ns)
 
-    def again_ns(self, asked_ns: int) -> int:
-        """When after ``asked_ns`` its effects on oil and load are asked again."""
+    def again_ns(self, queried_ns: int) -> int:
+        """When after ``queried_ns`` its effects on oil and load are asked again."""
         every_ns = round(1e9 * self.fault.every_s) if isinstance(self.fault, OwnFault) else 0
         if every_ns <= 0:
             return NEVER_NS
-        return self.start_ns + ((asked_ns - self.start_ns) // every_ns + 1) * every_ns
+        return self.start_ns + ((queried_ns - self.start_ns) // every_ns + 1) * every_ns
 
     def overlaps(self, other: "Injection") -> bool:
         """Whether the two are ever in force together."""
@@ -132,7 +132,7 @@ class FaultSchedule:
         self.planned: tuple[Injection, ...] = ()
         self.changes: list[FaultChange] = []
         self._numbers = 0
-        self._asked_ns = 0
+        self._queried_ns = 0
 
     def inject(
         self, fault: AnyFault, now_ns: int, start_ns: int | None = None, duration_ns: int | None = None
@@ -186,16 +186,16 @@ class FaultSchedule:
         return min([*starts, *ends, self._again_ns(), NEVER_NS])
 
     def _again_ns(self) -> int:
-        return min((one.again_ns(self._asked_ns) for one in self.active), default=NEVER_NS)
+        return min((one.again_ns(self._queried_ns) for one in self.active), default=NEVER_NS)
 
     def settle(self, now_ns: int) -> bool:
         """Let everything due by now begin or end; whether anything did, or is to be asked again."""
         before = self.active
         if not (before or self.planned):
-            self._asked_ns = now_ns
+            self._queried_ns = now_ns
             return False
         again = self._again_ns() <= now_ns
-        self._asked_ns = now_ns
+        self._queried_ns = now_ns
         for injection in before:
             if injection.end_ns is not None and injection.end_ns <= now_ns:
                 self._end(injection, now_ns)

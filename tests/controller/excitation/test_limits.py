@@ -52,11 +52,11 @@ def judged(plan: ExcitationPlan, now: Instant) -> object:
         swing=now.swing, reversals=now.reversals, creep=creep, away=now.sense,
     )  # fmt: skip
     stroke = next(each for each in plan.strokes if each.kind is StrokeKind.RAMP)
-    trouble = broken_off(plan.limits, stroke, state, Measured(q, now.pressure_bar))
-    if trouble is None:
+    failure = broken_off(plan.limits, stroke, state, Measured(q, now.pressure_bar))
+    if failure is None:
         return None
-    assert trouble.joint == JOINT
-    return trouble.cause.removeprefix("commissioning.")
+    assert failure.joint == JOINT
+    return failure.cause.removeprefix("commissioning.")
 
 
 @pytest.mark.parametrize(
@@ -86,11 +86,11 @@ def test_each_limit_is_named(now: Instant, cause: str | None) -> None:
 
 def test_an_arm_that_never_comes_to_rest_is_named() -> None:
     plan = plan_for(JOINT)
-    q, state, trouble = START.copy(), begun(START), None
+    q, state, failure = START.copy(), begun(START), None
     for _ in range(round((PATIENCE_S + 1.0) / DT_S)):
         q[JOINT] += DT_S * 5e-3
-        state, trouble = excite(plan, state, Measured(q.copy(), 100.0), DT_S)
-        if trouble is not None:
+        state, failure = excite(plan, state, Measured(q.copy(), 100.0), DT_S)
+        if failure is not None:
             break
-    assert trouble is not None
-    assert (trouble.cause, state.spool) == ("commissioning.not_at_rest", 0.0)
+    assert failure is not None
+    assert (failure.cause, state.spool) == ("commissioning.not_at_rest", 0.0)

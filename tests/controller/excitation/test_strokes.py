@@ -30,8 +30,8 @@ def test_every_valve_is_tried_out_inside_the_limits(
     plan = plan_for(5)
     closed = min(play, 1.5 * deadband * min(skew, 1.0))  # else no command but a contrary one closes it
     valve = ToyValve(5, deadband, deadband * skew, closed, gain)
-    state, trouble, samples = tried(valve, plan)
-    assert trouble is None
+    state, failure, samples = tried(valve, plan)
+    assert failure is None
     assert state.phase is Phase.ENDED
     assert state.stroke == len(plan.strokes)
     turned = np.array([sample.q[5] for sample in samples]) - START[5]
@@ -59,8 +59,8 @@ def test_a_joint_that_creeps_rests_and_one_that_swings_does_not(
     for k in range(1000):
         q = START.copy()
         q[4] += creep * DT_S * k - swing / omega * np.cos(omega * DT_S * k)
-        state, trouble = excite(plan, state, Measured(np.rint((q + noise[k]) / LSB) * LSB, 100.0), DT_S)
-        assert trouble is None
+        state, failure = excite(plan, state, Measured(np.rint((q + noise[k]) / LSB) * LSB, 100.0), DT_S)
+        assert failure is None
         if state.phase is not Phase.RESTING:
             break
     assert (state.phase is not Phase.RESTING) is rests
@@ -69,8 +69,8 @@ def test_a_joint_that_creeps_rests_and_one_that_swings_does_not(
 def test_the_sense_with_room_is_taken() -> None:
     valve = ToyValve(3)
     valve.q[3] = np.radians(84.0)
-    _, trouble, samples = tried(valve, plan_for(3))
-    assert trouble is None
+    _, failure, samples = tried(valve, plan_for(3))
+    assert failure is None
     assert max(sample.q[3] for sample in samples) < np.radians(89.5)
 
 
@@ -84,9 +84,9 @@ def test_the_sense_with_room_is_taken() -> None:
     ],
 )
 def test_what_goes_wrong_is_named_and_the_valve_is_centred(valve: ToyValve, cause: str) -> None:
-    state, trouble, _ = tried(valve, plan_for(5))
-    assert trouble is not None
-    assert (trouble.cause, trouble.joint) == (cause, 5)
+    state, failure, _ = tried(valve, plan_for(5))
+    assert failure is not None
+    assert (failure.cause, failure.joint) == (cause, 5)
     assert state.phase is Phase.ENDED
     assert state.spool == 0.0
 
@@ -95,9 +95,9 @@ def test_a_joint_without_room_is_not_moved() -> None:
     plan = plan_for(0)
     narrow = plan._replace(limits=plan.limits._replace(joint_range=np.radians([[-2.0] * 6, [2.0] * 6])))
     valve = ToyValve(0)
-    state, trouble, samples = tried(valve, narrow)
-    assert trouble is not None
-    assert trouble.cause == "commissioning.no_room"
+    state, failure, samples = tried(valve, narrow)
+    assert failure is not None
+    assert failure.cause == "commissioning.no_room"
     assert all(sample.valve == 0.0 for sample in samples)
     assert state.phase is Phase.ENDED
 
@@ -108,8 +108,8 @@ def test_a_joint_that_creeps_behind_its_closed_valve_is_tried_out_all_the_same()
             super().step(command)
             self.q[5] -= 3e-6  # 0.3 mrad/s, as a wrist under its own weight
 
-    state, trouble, _ = tried(Creeping(5, 0.08, 0.08), plan_for(5))
-    assert trouble is None
+    state, failure, _ = tried(Creeping(5, 0.08, 0.08), plan_for(5))
+    assert failure is None
     assert state.phase is Phase.ENDED
 
 
@@ -133,8 +133,8 @@ def test_a_joint_that_sinks_is_brought_back_between_strokes() -> None:
     state, furthest, returns = begun(valve.seen()), 0.0, 0
     while state.phase is not Phase.ENDED:
         before = state.phase
-        state, trouble = excite(plan, state, Measured(valve.seen(), 100.0), DT_S)
-        assert trouble is None
+        state, failure = excite(plan, state, Measured(valve.seen(), 100.0), DT_S)
+        assert failure is None
         returns += state.phase is Phase.RETURNING and before is not Phase.RETURNING
         if state.phase is not Phase.ENDED:
             valve.drive(driven(plan, state), state.spool)
@@ -147,11 +147,11 @@ def test_a_joint_that_sinks_is_brought_back_between_strokes() -> None:
 def test_a_sinking_joint_that_cannot_be_brought_back_is_named() -> None:
     plan, valve = plan_for(5), Sinking(5, 0.02, 0.02)
     valve.other_at = 0.5
-    state, trouble = begun(valve.seen()), None
-    while trouble is None:
-        state, trouble = excite(plan, state, Measured(valve.seen(), 100.0), DT_S)
+    state, failure = begun(valve.seen()), None
+    while failure is None:
+        state, failure = excite(plan, state, Measured(valve.seen(), 100.0), DT_S)
         valve.drive(driven(plan, state), state.spool)
-    assert (trouble.cause, trouble.joint) in (
+    assert (failure.cause, failure.joint) in (
         ("commissioning.no_motion", 4),
         ("commissioning.wrong_way", 4),
     )

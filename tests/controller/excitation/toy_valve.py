@@ -9,9 +9,9 @@ from controller.config import ControllerConfig
 from controller.core.excitation.plan import (
     Excitation,
     ExcitationPlan,
+    Failure,
     Measured,
     Phase,
-    Trouble,
     begun,
     excitation_plan,
 )
@@ -91,13 +91,13 @@ class ToyValve:
         return counted
 
 
-def tried(valve: ToyValve, plan: ExcitationPlan) -> tuple[Excitation, Trouble | None, list[ExcitationSample]]:
+def tried(valve: ToyValve, plan: ExcitationPlan) -> tuple[Excitation, Failure | None, list[ExcitationSample]]:
     """The whole excitation of the toy's joint, and its record."""
     state, samples = begun(valve.seen()), list[ExcitationSample]()
     for cycle in range(200_000):
         q = valve.seen()
         before = state
-        state, trouble = excite(plan, state, Measured(q, 100.0), DT_S)
+        state, failure = excite(plan, state, Measured(q, 100.0), DT_S)
         driving = before.phase is not Phase.RESTING or state.spool != 0.0
         filled = RETURN_BAR if valve.ahead else 100.0 + 0.5 * valve.load_bar
         pressures = tuple((filled, 100.0 - 0.5 * valve.load_bar) for _ in range(6))
@@ -107,7 +107,7 @@ def tried(valve: ToyValve, plan: ExcitationPlan) -> tuple[Excitation, Trouble | 
                 190.0, RETURN_BAR, (FULL_SPEED, FULL_SPEED),
             )
         )  # fmt: skip
-        if trouble is not None or state.phase is Phase.ENDED:
-            return state, trouble, samples
+        if failure is not None or state.phase is Phase.ENDED:
+            return state, failure, samples
         valve.step(state.spool)
     raise AssertionError("the excitation never ended")

@@ -9,7 +9,7 @@ import pytest
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
-from controller.core.excitation.plan import Phase, Trouble, begun
+from controller.core.excitation.plan import Failure, Phase, begun
 from controller.core.excitation.program import ExcitationSample
 from controller.core.scan_program import ScanProgram
 from controller.shell.scan_recorder import TrialRecords
@@ -84,8 +84,8 @@ async def test_a_joint_that_was_broken_off_is_kept_with_its_cause(
     records = records_in(tmp_path, program, arm)
     program.samples = [sample(0, 0)]
     over = begun(np.zeros(6))._replace(phase=Phase.ENDED)
-    trouble = Trouble("commissioning.no_motion", 5, 0.3, 0.29)
-    program.excitation = program.excitation._replace(excitation=over, trouble=trouble)
+    failure = Failure("commissioning.no_motion", 5, 0.3, 0.29)
+    program.excitation = program.excitation._replace(excitation=over, failure=failure)
     records.follow()
     await records.close()
     assert told(tmp_path)["ended_by"] == {

@@ -5,19 +5,19 @@ import re
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
-from foundation.live.wire import Figure, Spread, exposition
+from controller.shell.controller_metrics import METRICS as OF_CONTROLLER
+from foundation.live.wire import Series, Spread, exposition
 from foundation.periods import DurationHistogram
-from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
-from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
+from plant_emulator.shell.plant_metrics import METRICS as OF_PLANT
+from vision_pc.shell.rest.metrics import METRICS as OF_VISION
 
 TABLE = (
-    Figure("memory_mb", "memory_bytes", "Memory.", 1e6),
-    Figure("link.received", "received_total", "Datagrams."),
-    Figure("refused", "refused_total", "Refusals.", label="cause"),
-    Figure("connected", "connected", "1: it is."),
-    Figure("age_ms", "age_seconds", "Age.", 1e-3),
-    Figure("scheduling", "scheduling", "A word."),
+    Series("memory_mb", "memory_bytes", "Memory.", 1e6),
+    Series("link.received", "received_total", "Datagrams."),
+    Series("refused", "refused_total", "Refusals.", label="cause"),
+    Series("connected", "connected", "1: it is."),
+    Series("age_ms", "age_seconds", "Age.", 1e-3),
+    Series("scheduling", "scheduling", "A word."),
 )
 
 
@@ -64,7 +64,7 @@ def test_durations_are_a_histogram() -> None:
 
 
 @pytest.mark.parametrize("table", [OF_CONTROLLER, OF_PLANT, OF_VISION])
-def test_every_name_is_there_once_and_has_a_unit_of_prometheus(table: tuple[Figure, ...]) -> None:
+def test_every_name_is_there_once_and_has_a_unit_of_prometheus(table: tuple[Series, ...]) -> None:
     names = [figure.name for figure in table]
     assert len(names) == len(set(names))
     assert len({figure.path for figure in table}) == len(table)

@@ -40,7 +40,7 @@ class Answer(NamedTuple):
         return self.status, self.document.get("cause", "")
 
 
-class Asked:
+class GroupRequest:
     """A small API with tokens: ``done`` are the POSTs that got through."""
 
     def __init__(self, port: int, done: list[str], log: HeardLog, refused: dict[str, int]) -> None:
@@ -59,7 +59,7 @@ class Asked:
 
 
 @pytest.fixture(scope="module")
-def api() -> Iterator[Asked]:
+def api() -> Iterator[GroupRequest]:
     done: list[str] = []
     app = FastAPI()
     install_problems(app, {})
@@ -75,7 +75,7 @@ def api() -> Iterator[Asked]:
 
     log = HeardLog()
     with serving(app, ACCESS, log) as served:
-        yield Asked(served.port, done, log, served.refused)
+        yield GroupRequest(served.port, done, log, served.refused)
     log.close()
 
 
@@ -88,7 +88,7 @@ def basic(token: bytes) -> str:
 
 
 @pytest.mark.parametrize("present", [bearer, basic])
-def test_each_role_does_what_it_may(api: Asked, present: Any) -> None:
+def test_each_role_does_what_it_may(api: GroupRequest, present: Any) -> None:
     before = len(api.done)
     assert api.ask("GET", "/state", present(LOOK)).status == 200
     assert api.ask("GET", "/state", present(OPERATE)).status == 200
@@ -109,7 +109,7 @@ def test_each_role_does_what_it_may(api: Asked, present: Any) -> None:
         "Basic " + base64.b64encode(b"\xff:\xff").decode(), "",
     ],
 )  # fmt: skip
-def test_another_token_is_refused(api: Asked, authorization: str) -> None:
+def test_another_token_is_refused(api: GroupRequest, authorization: str) -> None:
     before = len(api.done)
     for method, path in (("GET", "/state"), ("POST", "/enable"), ("POST", "/stop")):
         answer = api.ask(method, path, authorization)
@@ -118,7 +118,7 @@ def test_another_token_is_refused(api: Asked, authorization: str) -> None:
     assert len(api.done) == before
 
 
-def test_without_a_token_it_says_what_is_wanted(api: Asked) -> None:
+def test_without_a_token_it_says_what_is_wanted(api: GroupRequest) -> None:
     before = len(api.done)
     answer = api.ask("POST", "/stop", None)
     assert answer.said == (401, "refused.no_token")
@@ -127,7 +127,7 @@ def test_without_a_token_it_says_what_is_wanted(api: Asked) -> None:
     assert len(api.done) == before
 
 
-def test_two_authorizations_are_refused(api: Asked) -> None:
+def test_two_authorizations_are_refused(api: GroupRequest) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", api.port, timeout=20.0)
     connection.putrequest("POST", "/enable")
     for token in (OPERATE, OPERATE):
@@ -137,7 +137,7 @@ def test_two_authorizations_are_refused(api: Asked) -> None:
     connection.close()
 
 
-def test_refusals_are_counted_and_told_without_the_token(api: Asked) -> None:
+def test_refusals_are_counted_and_told_without_the_token(api: GroupRequest) -> None:
     before = dict(api.refused)
     for _ in range(64):
         api.ask("GET", "/state", bearer(NOBODY))

@@ -37,7 +37,7 @@ async def left_behind(records: Path, settings: Settings, joint: int) -> None:
     world.connect()
     run(world.link.command(CommandCode.ENABLE))
     told = 0
-    while not (side.excitation.finished(program.plan) or side.excitation.trouble):
+    while not (side.excitation.finished(program.plan) or side.excitation.failure):
         world.clock.advance()
         program.excitation, program.samples = side.excitation, program.samples + side.samples[told:]
         told = len(side.samples)

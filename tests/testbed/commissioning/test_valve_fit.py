@@ -19,8 +19,8 @@ from tests.controller.excitation.toy_valve import ToyValve, arm, plan_for, tried
 
 def strokes_of(valve: ToyValve) -> list[StrokeRecord]:
     plan = plan_for(valve.joint)
-    _, trouble, samples = tried(valve, plan)
-    assert trouble is None
+    _, failure, samples = tried(valve, plan)
+    assert failure is None
     return strokes_in(recording_of(arm(), valve.joint, plan.strokes, samples), compensated=False)
 
 

@@ -73,8 +73,8 @@ class ForeignOdometry:
         X_C0C = se3.inverse(self._first[0]) @ found
         self._refuse_scale(X_C0C, X_BT)
         self.last_loss = None
-        asked = self._settings
-        std = np.repeat([1e-3 * asked.std_mm, 1e-3 * asked.std_mrad], 3)
+        settings = self._settings
+        std = np.repeat([1e-3 * settings.std_mm, 1e-3 * settings.std_mrad], 3)
         return OdometryPose(pair.capture_ns, pair.frame_id, X_C0C, np.diag(std**2), 0, 0.0, 0.0)
 
     def _at(self, poses: tuple[TimedPose, ...], time_ns: int) -> Array | str:
@@ -91,7 +91,7 @@ class ForeignOdometry:
 
     def _refuse_jumps(self, poses: tuple[TimedPose, ...]) -> None:
         """Of the poses since the last call; before the first pair only the newest counts, and no jump."""
-        asked = self._settings
+        settings = self._settings
         for before, after in pairwise(poses if self._first is not None else poses[-2:]):
             if after.time_ns <= self._checked_ns:
                 continue
@@ -102,9 +102,9 @@ class ForeignOdometry:
             seconds = max(1e-9 * (after.time_ns - before.time_ns), 1e-3)
             moved = se3.local(before.X_WC, after.X_WC)
             speed, turn = (float(np.linalg.norm(part)) / seconds for part in (moved[:3], moved[3:]))
-            if self._first is not None and (speed > asked.speed_m_s or turn > _TURN_RAD_S):
+            if self._first is not None and (speed > settings.speed_m_s or turn > _TURN_RAD_S):
                 why = f"{speed:.2f} m/s, {turn:.2f} rad/s between two poses"
-                most = f"{asked.speed_m_s:g} and {_TURN_RAD_S:g} at most"
+                most = f"{settings.speed_m_s:g} and {_TURN_RAD_S:g} at most"
                 raise _refusal("jump", f"{why}, {most}: it was lost, or began another map")
         self._checked_ns = max(self._checked_ns, poses[-1].time_ns) if poses else self._checked_ns
 

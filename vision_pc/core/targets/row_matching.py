@@ -22,7 +22,7 @@ _APART = 4  # px between peaks that are different places
 _MARGIN = 0.10  # by how much the best peak must beat every other
 _BACK = 1.5  # px by which the way back may miss
 _RIM = 40  # px at the picture's rim in which nothing is measured
-_MOST_TOLD = 24  # places that look alike
+_MOST_NAMED = 24  # places that look alike
 _TEXTURE = 1.6  # grey: standard deviation of a smoothed template below which it shows noise alone
 
 
@@ -94,7 +94,7 @@ def refuse_outside(pixel: Array, camera: CameraCalibration) -> None:
 
 
 def _ambiguous(camera: CameraCalibration, ray: Array, places: Array, why: str) -> TargetRefused:
-    return TargetRefused("target.ambiguous", f"target: {why}", _candidates(camera, ray, places[:_MOST_TOLD]))
+    return TargetRefused("target.ambiguous", f"target: {why}", _candidates(camera, ray, places[:_MOST_NAMED]))
 
 
 def _candidates(camera: CameraCalibration, ray: Array, places: Array) -> tuple[Candidate, ...]:

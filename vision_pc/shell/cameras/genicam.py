@@ -23,12 +23,12 @@ class GenicamCamera(CameraSource):
     """Connects to both, sets and reads back what is configured, and connects again when one has gone."""
 
     def _produce(self) -> None:
-        asked = self._settings.genicam
+        settings = self._settings.genicam
         while not self._stop.is_set():
             try:
                 with ExitStack() as stack:
                     devices = []
-                    for name in (asked.left, asked.right):
+                    for name in (settings.left, settings.right):
                         devices.append(GenicamDevice(name))
                         stack.callback(devices[-1].close)
                     for device in devices:
@@ -43,21 +43,21 @@ class GenicamCamera(CameraSource):
 
     def _prepare(self, device: GenicamDevice) -> None:
         """Raises LinkLost (``link.camera_refused``) for what the camera does not take as it is configured."""
-        asked = self._settings.genicam
+        settings = self._settings.genicam
         size = self._settings.width_px, self._settings.height_px
-        device.set("set_pixel_format_from_string", asked.pixel_format)
-        device.set("set_region", asked.offset_x_px, asked.offset_y_px, *size)
-        if asked.clock != "own" and device.offers("PtpEnable"):
+        device.set("set_pixel_format_from_string", settings.pixel_format)
+        device.set("set_region", settings.offset_x_px, settings.offset_y_px, *size)
+        if settings.clock != "own" and device.offers("PtpEnable"):
             device.set("set_boolean", "PtpEnable", 1)
-        if asked.trigger == "free":
+        if settings.trigger == "free":
             device.set("clear_triggers")
-            self._set(device, "frame_rate", asked.frame_rate_hz)
-        elif asked.trigger == "software":
+            self._set(device, "frame_rate", settings.frame_rate_hz)
+        elif settings.trigger == "software":
             device.set("set_trigger", "Software")
         else:
-            device.set("set_trigger", asked.trigger)
-        self._set(device, "exposure_time", asked.exposure_us)
-        self._set(device, "gain", asked.gain)
+            device.set("set_trigger", settings.trigger)
+        self._set(device, "exposure_time", settings.exposure_us)
+        self._set(device, "gain", settings.gain)
 
     def _set(self, device: GenicamDevice, feature: str, value: float | None) -> None:
         if value is None:
@@ -70,13 +70,13 @@ class GenicamCamera(CameraSource):
 
     def _receive(self, devices: list[GenicamDevice]) -> None:
         """Deliver pairs until a camera fails or is silent. Raises LinkLost, FrameRefused."""
-        asked = self._settings.genicam
+        settings = self._settings.genicam
         eyes = [_Eye(device, self._settings) for device in devices]
-        pairs = PairMatcher(round(1e6 * asked.apart_ms), common_clock=asked.clock != "own")
-        period_ns, due_ns, lost = 1e9 / asked.frame_rate_hz, time.monotonic_ns(), 0
+        pairs = PairMatcher(round(1e6 * settings.apart_ms), common_clock=settings.clock != "own")
+        period_ns, due_ns, lost = 1e9 / settings.frame_rate_hz, time.monotonic_ns(), 0
         while not self._stop.is_set():
             now_ns = time.monotonic_ns()
-            if asked.trigger == "software" and now_ns >= due_ns:
+            if settings.trigger == "software" and now_ns >= due_ns:
                 for device in devices:
                     device.trigger()
                 due_ns = max(due_ns + round(period_ns), now_ns)

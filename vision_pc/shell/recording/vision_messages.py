@@ -166,10 +166,10 @@ def frame_bytes(pair: StereoPair) -> bytes:
     """longreach.Frame with the CRC-32 of each eye's pixels."""
     height, width = pair.left.shape
     crcs = {f"crc_{eye}": checksum(getattr(pair, eye)) for eye in ("left", "right")}
-    said = FrameMessage(
+    rest = FrameMessage(
         frame_id=pair.frame_id, capture_ns=pair.capture_ns, width=width, height=height, **crcs
     )
-    return bytes(said.SerializeToString())
+    return bytes(rest.SerializeToString())
 
 
 def checksum(pixels: Any) -> int:
@@ -257,17 +257,17 @@ def reference_bytes(number: int, request: Request | StreamedPose) -> bytes:
     kind = type(request).__name__
     match request:
         case Command():
-            said: dict[str, Any] = {"command": request.code.name}
+            rest: dict[str, Any] = {"command": request.code.name}
         case ReferencePose():
             pose, duration_s = request.X_BT_ref, request.duration_s
             return _filled(
                 ReferenceMessage, number=number, kind=kind, **_poses([pose]), duration_s=duration_s
             )
         case ReferencePath():
-            said = {"segment_s": request.segment_s, "dwell_s": request.dwell_s}
+            rest = {"segment_s": request.segment_s, "dwell_s": request.dwell_s}
         case StreamedPose():
-            said = {"measured_ns": request.time_ns, "stream": request.stream_id, "twist": request.twist_ref}
-    return _filled(ReferenceMessage, number=number, kind=kind, **_poses(poses_of(request)), **said)
+            rest = {"measured_ns": request.time_ns, "stream": request.stream_id, "twist": request.twist_ref}
+    return _filled(ReferenceMessage, number=number, kind=kind, **_poses(poses_of(request)), **rest)
 
 
 def clock_bytes(offset: tuple[int, int]) -> bytes:

@@ -31,12 +31,12 @@ def raw(pair: StereoPair, eye: int) -> bytes:
     """foxglove.RawImage of one eye, every pixel."""
     picture = getattr(pair, _EYES[eye])
     height, width = picture.shape
-    said = RawImage(
+    message = RawImage(
         frame_id=CAMERA_FRAMES[eye], width=width, height=height, encoding="mono8", step=width,
         data=picture.tobytes(),
     )  # fmt: skip
-    put_time(said.timestamp, pair.capture_ns)
-    return bytes(said.SerializeToString())
+    put_time(message.timestamp, pair.capture_ns)
+    return bytes(message.SerializeToString())
 
 
 def jpeg(quality: int) -> Callable[[StereoPair, int], bytes]:
@@ -44,9 +44,9 @@ def jpeg(quality: int) -> Callable[[StereoPair, int], bytes]:
 
     def encode(pair: StereoPair, eye: int) -> bytes:
         _, data = cv2.imencode(".jpg", getattr(pair, _EYES[eye]), [cv2.IMWRITE_JPEG_QUALITY, quality])
-        said = CompressedImage(frame_id=CAMERA_FRAMES[eye], format="jpeg", data=data.tobytes())
-        put_time(said.timestamp, pair.capture_ns)
-        return bytes(said.SerializeToString())
+        message = CompressedImage(frame_id=CAMERA_FRAMES[eye], format="jpeg", data=data.tobytes())
+        put_time(message.timestamp, pair.capture_ns)
+        return bytes(message.SerializeToString())
 
     return encode
 
@@ -60,7 +60,7 @@ def calibrations(camera: CameraCalibration) -> tuple[bytes, bytes]:
 def _calibration(camera: CameraCalibration, eye: int) -> bytes:
     model = (camera.left, camera.right)[eye]
     X_EC = se3.inverse(model.X_CE)
-    said = CalibrationMessage(
+    message = CalibrationMessage(
         frame_id=CAMERA_FRAMES[eye],
         width=camera.width,
         height=camera.height,
@@ -70,7 +70,7 @@ def _calibration(camera: CameraCalibration, eye: int) -> bytes:
         R=X_EC[:3, :3].T.ravel().tolist(),
         P=(model.K @ np.column_stack((np.eye(3), X_EC[:3, 3]))).ravel().tolist(),
     )
-    return bytes(said.SerializeToString())
+    return bytes(message.SerializeToString())
 
 
 def seen_frames(made: NumberedObservation) -> bytes:
@@ -84,39 +84,39 @@ def seen_frames(made: NumberedObservation) -> bytes:
 def annotations(made: NumberedObservation) -> bytes:
     """foxglove.ImageAnnotations: each marker's outline in the left picture, and its number."""
     seen: FrameObservation = made.observation
-    said = ImageAnnotations()
-    put_time(said.timestamp, seen.capture_ns)
+    message = ImageAnnotations()
+    put_time(message.timestamp, seen.capture_ns)
     for marker in seen.markers:
-        outline = said.points.add(type=PointsAnnotation.Type.LINE_LOOP, thickness=_LINE_PX)
+        outline = message.points.add(type=PointsAnnotation.Type.LINE_LOOP, thickness=_LINE_PX)
         put_time(outline.timestamp, seen.capture_ns)
         _colour(outline.outline_color)
         for x, y in marker.corners_left.tolist():
             outline.points.add(x=x, y=y)
-        text = said.texts.add(text=str(marker.marker_id), font_size=16.0)
+        text = message.texts.add(text=str(marker.marker_id), font_size=16.0)
         put_time(text.timestamp, seen.capture_ns)
         text.position.x, text.position.y = marker.corners_left.max(axis=0).tolist()
         _colour(text.text_color)
-    return bytes(said.SerializeToString())
+    return bytes(message.SerializeToString())
 
 
 def track_pose(pose: OdometryPose) -> bytes:
     """foxglove.PoseInFrame of the camera in the first camera frame of its odometry."""
-    said = PoseInFrame(frame_id=TRACK_FRAME)
-    put_time(said.timestamp, pose.capture_ns)
-    put_pose(said.pose, pose.X_C0C)
-    return bytes(said.SerializeToString())
+    message = PoseInFrame(frame_id=TRACK_FRAME)
+    put_time(message.timestamp, pose.capture_ns)
+    put_pose(message.pose, pose.X_C0C)
+    return bytes(message.SerializeToString())
 
 
 def path(time_ns: int, poses: Sequence[Pose]) -> bytes:
     """foxglove.PosesInFrame of references of the tool in the base."""
-    said = PosesInFrame(frame_id=BASE_FRAME)
-    put_time(said.timestamp, time_ns)
+    message = PosesInFrame(frame_id=BASE_FRAME)
+    put_time(message.timestamp, time_ns)
     for pose in poses:
-        made = said.poses.add()
+        made = message.poses.add()
         made.position.x, made.position.y, made.position.z = pose.p_m
         at = made.orientation
         at.w, at.x, at.y, at.z = pose.q_wxyz
-    return bytes(said.SerializeToString())
+    return bytes(message.SerializeToString())
 
 
 def _colour(made: Any) -> None:

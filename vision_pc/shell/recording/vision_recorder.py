@@ -80,13 +80,13 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
         Topic(ODOMETRY, format_of(own.OdometryMessage), own.tracked_bytes),
         Topic(ERRORS, format_of(own.CameraErrorsMessage), own.fitted_bytes),
         Topic(LOOK, format_of(own.LookMessage), own.look_bytes),
-        Topic(REFERENCE, format_of(own.ReferenceMessage), lambda said: own.reference_bytes(*said)),
+        Topic(REFERENCE, format_of(own.ReferenceMessage), lambda content: own.reference_bytes(*content)),
         Topic(CLOCK, format_of(own.ClockMessage), own.clock_bytes),
         Topic(EVENT, format_of(EventMessage), event_bytes),
         Topic(LOG, format_of(LogMessage), lambda line: log_line(*line)),
         Topic(FRAMES, format_of(FrameTransforms), pictures.seen_frames),
         Topic(TRACK, format_of(PoseInFrame), pictures.track_pose),
-        Topic(PATH, format_of(PosesInFrame), lambda said: pictures.path(*said)),
+        Topic(PATH, format_of(PosesInFrame), lambda content: pictures.path(*content)),
         Topic(ANNOTATIONS, format_of(ImageAnnotations), pictures.annotations),
         *(Topic(name, format_of(CalibrationMessage), bytes, once=True) for name in CALIBRATIONS),
         *(Topic(name, image, lambda taken: shown(*taken)) for name in IMAGES[:eyes]),
@@ -277,8 +277,8 @@ class VisionRecorder(ServiceRecorder):
             return
         self._frame = pair.frame_id, pair.capture_ns
         if self._camera is not None:
-            for topic, said in zip(CALIBRATIONS, self._camera, strict=True):
-                self._put(topic, said, pair.capture_ns, wanted=True)
+            for topic, content in zip(CALIBRATIONS, self._camera, strict=True):
+                self._put(topic, content, pair.capture_ns, wanted=True)
             self._camera = None
         if self.sink.wants(self._numbers[FRAME]):
             if self._frames_put - self._frames_taken >= WAITING_FRAMES:

@@ -41,7 +41,7 @@ MOST_S = 5.0  # a busy machine has answered within 2 s
 _JUDGED = frozenset({"POST", "PUT", "PATCH"})  # DELETE forgets, whenever it comes
 
 
-def asked_lately(stops: Collection[str]) -> Callable[[Request], Awaitable[None]]:
+def while_recent(stops: Collection[str]) -> Callable[[Request], Awaitable[None]]:
     """A dependency that raises RequestRefused for a request that its header ``Longreach-Shown`` dates back.
 
     The header is the ``time`` (s) of the snapshot that the console showed, on this machine's own clock.
@@ -107,7 +107,7 @@ def create_app(
         version="1",
         description=DESCRIPTION,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
-        dependencies=[Depends(asked_lately(STOPS)), Depends(while_requested(machine, STOPS))],
+        dependencies=[Depends(while_recent(STOPS)), Depends(while_requested(machine, STOPS))],
         openapi_url=None,
         docs_url=None,
         redoc_url=None,

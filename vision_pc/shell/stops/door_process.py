@@ -87,7 +87,7 @@ class DoorProcess:
                 asyncio.get_running_loop().remove_reader(self._control.fileno())
                 self.gone()
                 return
-            self._said(json.loads(data))
+            self._receive(json.loads(data))
 
     def close(self) -> None:
         """End it."""
@@ -95,11 +95,11 @@ class DoorProcess:
         self._control.close()
         ended(self._process)
 
-    def _said(self, said: dict[str, Any]) -> None:
-        for refusal, source, count in said.get("refused", ()):
+    def _receive(self, order: dict[str, Any]) -> None:
+        for refusal, source, count in order.get("refused", ()):
             self._refusals.tell(refusal, source, count)
-        if "stop" in said and self._link is not None and self._link.credentials is not None:
-            self._link.take_over(Command(said["stop"], CommandCode(said["code"])), said["next_sequence"])
+        if "stop" in order and self._link is not None and self._link.credentials is not None:
+            self._link.take_over(Command(order["stop"], CommandCode(order["code"])), order["next_sequence"])
             self.stopped()
 
     def _on_heard(self, event: Submitted | Streamed | ClientEvent) -> None:
@@ -112,10 +112,10 @@ class DoorProcess:
             self._numbers.tell_state(event.state.group_state, event.state.fault, event.state.flags)
         elif isinstance(event, Connected):
             self.sent(self._link)
-            self._tell(session=self._link.credentials)
+            self._send(session=self._link.credentials)
         elif isinstance(event, SessionLost):
-            self._tell(session=None)
+            self._send(session=None)
 
-    def _tell(self, **said: Any) -> None:
+    def _send(self, **order: Any) -> None:
         with contextlib.suppress(OSError):  # it has ended
-            self._control.send(json.dumps(said).encode())
+            self._control.send(json.dumps(order).encode())

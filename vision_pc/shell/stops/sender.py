@@ -32,8 +32,8 @@ _AGAIN_S = 0.1
 _WITHIN_S = 2.0
 _LOOK_S = 0.002
 _LOOKS_FOR_STATE = 50
-_TOLD_EVERY_S = 0.5
-_TOLD_APART = 50  # refusals by cause and source; the others are told together
+_REPORT_EVERY_S = 0.5
+_MOST_APART = 50  # refusals by cause and source; the others are told together
 
 
 class StopSender:
@@ -56,10 +56,10 @@ class StopSender:
             return None
         return self._answer(self._begun(CODES[path]), self._credentials)
 
-    def tell(self, **said: Any) -> None:
+    def tell(self, **order: Any) -> None:
         """Tell the vision PC; where it is not heard, that is lost."""
         with contextlib.suppress(OSError):
-            self._control.send(json.dumps(said).encode())
+            self._control.send(json.dumps(order).encode())
 
     def _begun(self, code: CommandCode) -> Command:
         """A stop that is sent, under an id of its own."""
@@ -134,13 +134,13 @@ class StopSender:
                 asyncio.get_running_loop().remove_reader(self._control.fileno())
                 self.ended.set()
                 return
-            said = json.loads(data)
+            order = json.loads(data)
             if descriptors:
                 if self._link is not None:
                     self._link.close()
                 self._link = socket.socket(fileno=descriptors[0])
-            if "session" in said:
-                self._credentials = Credentials(*said["session"]) if said["session"] else None
+            if "session" in order:
+                self._credentials = Credentials(*order["session"]) if order["session"] else None
                 self._next_sequence = None
 
 
@@ -155,9 +155,9 @@ class ToldRefusals(RefusalLog):
     def tell(self, refusal: Refusal, source: str, count: int = 1) -> None:
         """So many more."""
         if not self._new:
-            asyncio.get_running_loop().call_later(_TOLD_EVERY_S, self._pass_on)
+            asyncio.get_running_loop().call_later(_REPORT_EVERY_S, self._pass_on)
         kind = refusal["cause"], source
-        if kind not in self._new and len(self._new) >= _TOLD_APART:
+        if kind not in self._new and len(self._new) >= _MOST_APART:
             kind = refusal["cause"], "others"
         self._new[kind] = refusal, self._new.get(kind, (refusal, 0))[1] + count
 

@@ -52,22 +52,22 @@ async def live_messages(url: str, topics: Collection[str]) -> AsyncIterator[Live
 async def _read(connection: ClientConnection, topics: Collection[str]) -> AsyncIterator[LiveMessage]:
     known: dict[int, tuple[str, Any]] = {}
     behind_ns = 0
-    async for said in connection:
-        if isinstance(said, bytes):
-            opcode, number, log_ns = _HEAD.unpack_from(said)
+    async for frame in connection:
+        if isinstance(frame, bytes):
+            opcode, number, log_ns = _HEAD.unpack_from(frame)
             if opcode == _MESSAGE_DATA and number in known:
                 topic, made = known[number]
                 off_ns = time.monotonic_ns() - log_ns - behind_ns
                 if abs(off_ns) > _APART_NS and "calibration" not in topic:  # these are told to who comes late
                     behind_ns += off_ns
-                yield LiveMessage(topic, log_ns + behind_ns, made.FromString(said[_HEAD.size :]))
+                yield LiveMessage(topic, log_ns + behind_ns, made.FromString(frame[_HEAD.size :]))
             continue
-        document = json.loads(said)
+        document = json.loads(frame)
         if document["op"] == "advertise":
             new = [channel for channel in document["channels"] if channel["topic"] in topics]
             known |= {channel["id"]: (channel["topic"], _class_of(channel)) for channel in new}
-            asked = [{"id": channel["id"], "channelId": channel["id"]} for channel in new]
-            await connection.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+            subscriptions = [{"id": channel["id"], "channelId": channel["id"]} for channel in new]
+            await connection.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
 
 
 def _class_of(channel: dict[str, Any]) -> Any:

@@ -16,8 +16,8 @@ from websockets.exceptions import InvalidStatus
 
 from foundation.event_log import EventLog
 from foundation.live import LiveSettings, wire
-from foundation.live.face import VIEWERS_MAX, LiveFace
 from foundation.live.feed import LiveFeed, access_of
+from foundation.live.server import VIEWERS_MAX, LiveServer
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import MessageField, RecordSink, format_of, message_class
 from foundation.rest.guard import ANYBODY_HERE, Access, Role
@@ -62,7 +62,7 @@ async def fed(tmp_path: Path, access: Access = ANYBODY_HERE, *, recorded: bool =
         stack.callback(log.close)
         feed = LiveFeed("tested", log, connect, lambda: "longreach_tested 1\n")
         listener = socket.create_server(("127.0.0.1", 0))
-        face = LiveFace(access, log, "longreach tested")
+        face = LiveServer(access, log, "longreach tested")
         await stack.enter_async_context(await face.serve(listener))
         reader, writer = await asyncio.open_connection(sock=theirs)
         feeding = asyncio.create_task(face.fed(reader, writer))
@@ -259,5 +259,5 @@ async def test_a_feeder_that_says_nonsense_is_cut_off() -> None:
     with ours:
         reader, writer = await asyncio.open_connection(sock=theirs)
         ours.sendall(struct.pack("<BIQI", wire.MESSAGE, 0, 0, wire.MOST + 1))
-        await asyncio.wait_for(LiveFace(ANYBODY_HERE, log, "t").fed(reader, writer), WITHIN_S)
+        await asyncio.wait_for(LiveServer(ANYBODY_HERE, log, "t").fed(reader, writer), WITHIN_S)
     log.close()

@@ -25,7 +25,7 @@ from foundation.rest.guard import Access, Guard, GuardedRequest
 from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, Refusal, RefusalLog, problem
 
 VIEWERS_MAX = 8
-_FIGURES_WITHIN_S = 3.0
+_METRICS_WITHIN_S = 3.0
 _HANDSHAKE_S = 5.0
 _REQUEST_BYTES = 1 << 16  # of a viewer's message
 
@@ -33,35 +33,35 @@ _REQUEST_BYTES = 1 << 16  # of a viewer's message
 class Feeder:
     """One service's connection. ``channels``: of its topics, in their order; ``ids``: their numbers."""
 
-    def __init__(self, said: dict[str, Any], writer: asyncio.StreamWriter, numbers: Iterable[int]) -> None:
-        self.session = said["session"]
-        numbered = zip(numbers, said["channels"], strict=False)
+    def __init__(self, hello: dict[str, Any], writer: asyncio.StreamWriter, numbers: Iterable[int]) -> None:
+        self.session = hello["session"]
+        numbered = zip(numbers, hello["channels"], strict=False)
         self.channels: list[dict[str, Any]] = [{"id": number} | channel for number, channel in numbered]
         self.ids: list[int] = [channel["id"] for channel in self.channels]
         self._writer = writer
-        self._figures: asyncio.Queue[str] = asyncio.Queue()
+        self._metrics: asyncio.Queue[str] = asyncio.Queue()
 
     def tell_wanted(self, channels: Collection[int], new: Collection[int]) -> None:
         """Have the service feed these channels, and no others; again what it sends once of ``new``."""
         wanted, again = ([k for k, each in enumerate(self.ids) if each in of] for of in (channels, new))
         self._say({"wanted": wanted, "again": again})
 
-    async def figures(self) -> str:
+    async def metrics(self) -> str:
         """What Prometheus is told of the service; empty when it does not say in time."""
-        while not self._figures.empty():  # of a time when they came too late
-            self._figures.get_nowait()
+        while not self._metrics.empty():  # of a time when they came too late
+            self._metrics.get_nowait()
         self._say({"figures": True})
         try:
-            return await asyncio.wait_for(self._figures.get(), _FIGURES_WITHIN_S)
+            return await asyncio.wait_for(self._metrics.get(), _METRICS_WITHIN_S)
         except TimeoutError:
             return ""
 
-    def take_figures(self, figures: str) -> None:
+    def take_metrics(self, metrics: str) -> None:
         """It has said them."""
-        self._figures.put_nowait(figures)
+        self._metrics.put_nowait(metrics)
 
-    def _say(self, said: dict[str, Any]) -> None:
-        self._writer.write(json.dumps(said).encode() + b"\n")
+    def _say(self, hello: dict[str, Any]) -> None:
+        self._writer.write(json.dumps(hello).encode() + b"\n")
 
 
 class Viewer:
@@ -99,7 +99,7 @@ class Viewer:
                         await self._connection.send(taken[1])
 
 
-class LiveFace:
+class LiveServer:
     """What is served. ``name``: as viewers show it."""
 
     def __init__(self, access: Access, log: EventLog, name: str) -> None:
@@ -133,8 +133,8 @@ class LiveFace:
                 data = await reader.readexactly(size)
                 if kind == wire.HELLO:
                     feeder = self._join(json.loads(data), writer)
-                elif feeder is not None and kind == wire.FIGURES:
-                    feeder.take_figures(data.decode())
+                elif feeder is not None and kind == wire.METRICS:
+                    feeder.take_metrics(data.decode())
                 elif feeder is not None:
                     for viewer in self._viewers:
                         viewer.show(feeder.ids[topic], log_ns, data)
@@ -144,8 +144,8 @@ class LiveFace:
             self._remove_feeder(feeder)
             writer.close()
 
-    def _join(self, said: dict[str, Any], writer: asyncio.StreamWriter) -> Feeder:
-        feeder = Feeder(said, writer, self._numbers)
+    def _join(self, hello: dict[str, Any], writer: asyncio.StreamWriter) -> Feeder:
+        feeder = Feeder(hello, writer, self._numbers)
         self._feeders.append(feeder)
         self._tell(wire.advertise(feeder.channels))
         return feeder
@@ -153,7 +153,7 @@ class LiveFace:
     def _remove_feeder(self, feeder: Feeder | None) -> None:
         if feeder in self._feeders:
             self._feeders.remove(feeder)
-            feeder.take_figures("")
+            feeder.take_metrics("")
             for viewer in self._viewers:
                 for channel in feeder.ids:
                     viewer.subscribed.pop(channel, None)
@@ -185,14 +185,14 @@ class LiveFace:
             sending.cancel()
             self._tell_wanted()
 
-    def _subscribe(self, viewer: Viewer, asked: wire.Subscriptions) -> None:
+    def _subscribe(self, viewer: Viewer, wanted: wire.Subscriptions) -> None:
         known = {channel for feeder in self._feeders for channel in feeder.ids}
         for channel, number in list(viewer.subscribed.items()):
-            if number in asked.removed:
+            if number in wanted.removed:
                 del viewer.subscribed[channel]
-        new = {channel: number for number, channel in asked.added.items() if channel in known}
+        new = {channel: number for number, channel in wanted.added.items() if channel in known}
         viewer.subscribed |= new
-        for channel in set(asked.added.values()) - known:
+        for channel in set(wanted.added.values()) - known:
             viewer.say(wire.warning(f"there is no channel {channel}"))
         self._tell_wanted(new)
 
@@ -203,14 +203,14 @@ class LiveFace:
 
     async def _plain_response(self, connection: ServerConnection, request: Request) -> Response | None:
         """The answer to what is no viewer, or may not look; None lets the handshake go on."""
-        asked = _guarded_request(connection, request)
-        refusal = self._guard.refusal(asked)
-        if refusal is None and asked.method != "GET":
+        guarded = _guarded_request(connection, request)
+        refusal = self._guard.refusal(guarded)
+        if refusal is None and guarded.method != "GET":
             return None  # which is answered 405
-        if refusal is None and asked.path == "/metrics":
-            texts = [await feeder.figures() for feeder in self._feeders]
+        if refusal is None and guarded.path == "/metrics":
+            texts = [await feeder.metrics() for feeder in self._feeders]
             return _response(http.HTTPStatus.OK, "".join(texts).encode(), wire.MEDIA_TYPE)
-        if refusal is None and asked.path != "/":
+        if refusal is None and guarded.path != "/":
             why = "there are / for viewers and /metrics"
             refusal = problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why)
         if refusal is None and len(self._viewers) >= VIEWERS_MAX:
@@ -236,9 +236,9 @@ def _refusal_response(refusal: Refusal) -> Response:
 
 
 def _response(status: http.HTTPStatus, body: bytes, media_type: str) -> Response:
-    said = DATA_HEADERS | {
+    hello = DATA_HEADERS | {
         "Content-Type": media_type,
         "Content-Length": str(len(body)),
         "Connection": "close",
     }
-    return Response(status.value, status.phrase, Headers(**said), body)
+    return Response(status.value, status.phrase, Headers(**hello), body)
