@@ -80,7 +80,7 @@ class Noted:
         self._sent_ns: dict[int, int] = {}
         self._cycle_ns: dict[int, int] = {}
         self._states: dict[int, State] = {}
-        self._leads: dict[int, tuple[int, int, int]] = {}
+        self._leads: dict[int, tuple[int, int, State]] = {}
 
     def look(self, data: bytes, datagram: Datagram, *, whole: bool) -> None:
         """Notes a datagram that came; ``whole``: none can have been lost on its way here."""
@@ -125,10 +125,11 @@ class Noted:
         before, cycle_ns = self._states.get(session, state), self._cycle_ns.get(session, 0)
         self._states[session] = state
         lead_ns = state.cycle * cycle_ns - state.time_ns
-        least, most, begin_ns = self._leads.get(session, (lead_ns, lead_ns, state.time_ns))
-        self._leads[session] = min(least, lead_ns), max(most, lead_ns), begin_ns
+        least, most, first = self._leads.get(session, (lead_ns, lead_ns, state))
+        self._leads[session] = min(least, lead_ns), max(most, lead_ns), first
         scans, passed_ns = state.cycle - before.cycle, state.time_ns - before.time_ns
-        skipped_ns = SKIPPED_MS * _MS + SKIPPED * (state.time_ns - begin_ns)
+        skipped_ns = SKIPPED_MS * _MS + SKIPPED * (state.time_ns - first.time_ns)
+        skipped_ns += cycle_ns * ((state.overruns - first.overruns) % _NUMBERS)  # it says so itself
         good = before is state or (scans > 0 and passed_ns > 0)
         good &= lead_ns - least <= AHEAD_SCANS * cycle_ns and most - lead_ns < skipped_ns
         what = f"cycle goes on by {scans} within {passed_ns / _MS:.1f} ms, to {state.group_state.name}"

@@ -98,7 +98,7 @@ static uint64_t streamed_left_ns, streamed_age_ns;
 
 /* The group and its arm: six axes, each with place, speed and acceleration as commanded, and a place as measured. */
 static int mode, fault, severity; static bool session_ended;
-static uint64_t cycle, scan_ns, motion_id; static bool arrived, motion_done;
+static uint64_t cycle, scan_ns, motion_id; static uint32_t overruns; static bool arrived, motion_done;
 static double at[6] = {3.5, 0, 1.2}, speed[6], acceleration[6], measured[6] = {3.5, 0, 1.2};
 static double base_q[4] = {0, 0.7071067811865476, 0, 0.7071067811865476}; /* axes 4…6 turn from here, in B */
 static double ramp_s, ramp_from[6];
@@ -711,7 +711,7 @@ static void publish(uint64_t now) { /* 7.7 */
   pose_of(at, pose);
   for (int k = 3; k < 7 && SECOND_THOUGHTS && cycle / 3 % 2; k++) pose[k] = -pose[k]; /* 1.5 */
   memcpy(p + 240, pose, sizeof pose);
-  PUT(double, p, 296, 190.0); PUT(uint32_t, p, 320, FIRST_COUNT + s->lost); PUT(uint32_t, p, 324, FIRST_COUNT + s->dropped);
+  PUT(double, p, 296, 190.0); PUT(uint32_t, p, 304, overruns); PUT(uint32_t, p, 320, FIRST_COUNT + s->lost); PUT(uint32_t, p, 324, FIRST_COUNT + s->dropped);
   PUT(uint32_t, p, 332, mode == STREAMING ? stream.number : 0);
   send_in(s, STATE, p);
 }
@@ -744,7 +744,7 @@ int main(int count, char **arguments) {
   fflush(stdout);
   for (uint64_t next = now_ns();; next += CYCLE_MS * 1000000ull) {
     uint64_t now = now_ns();
-    if (next < now) next = now;
+    if (next < now) overruns += (uint32_t)((now - next) / (CYCLE_MS * 1000000ull)), next = now;
     do {
       struct pollfd waits = {udp, POLLIN, 0};
       now = now_ns();
