@@ -8,8 +8,9 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, Truth, draw, forward, silent
-from vision_pc.core.calibration.line_equation import circle, line_equation
+from vision_pc.core.calibration.line_equation import circle, line_equation, solve
 from vision_pc.core.se3 import transform
+from vision_pc.core.types import WatchSample
 
 SETTINGS = shipped().line_equation
 FIT = SETTINGS.model_copy(update={"minimum": "fit"})
@@ -69,6 +70,19 @@ async def test_the_fit_is_better_than_the_sample_in_the_mean_over_seeds() -> Non
             errors[settings.minimum].append(float(np.linalg.norm(arm.true_error(0.1)[:2])))
     assert np.mean(errors["fit"]) < np.mean(errors["sample"])
     assert np.mean(errors["sample"]) > 0.005  # as in the paper: not reliably inside the tolerance
+
+
+def test_the_fit_sets_pictures_aside_in_which_another_thing_was_taken_for_the_object() -> None:
+    at, turned = np.array([0.5, 0.3, 0.0]), np.linspace(0.0, 2.0 * np.pi, 24)
+    samples = []
+    for k, place in enumerate(
+        SETTINGS.radius_m * np.column_stack([np.cos(turned), np.sin(turned), 0.0 * turned])
+    ):
+        off = [0.2, 0.0, 0.0] if k in (5, 11) else [0.0] * 3
+        X_CO = transform(np.eye(3), at - place + off)
+        samples.append(WatchSample(k, transform(np.eye(3), place), None, np.eye(4), X_CO))
+    found = solve(tuple(samples), np.eye(4), FIT)
+    assert np.linalg.norm(found.X_BT_ref[:3, 3] - at) < 2e-3
 
 
 @pytest.mark.parametrize("at", [(0.08, 0.05), (0.15, 0.0), (-0.08, -0.07), (-0.1, 0.15)])

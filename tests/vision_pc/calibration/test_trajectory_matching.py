@@ -126,6 +126,19 @@ def test_the_lever_arm_is_removed_exactly() -> None:
     assert math.degrees(angle_between(biased.R_BC, R_BC)) > 1.0
 
 
+def test_the_least_number_of_pictures_suffices_and_the_least_known_axis_decides() -> None:
+    samples, _ = turning_samples(0.5, math.radians(3.0))
+    enough = changed(minimum_samples=len(samples))
+    stds = np.array([2e-3, 1e-3, 3e-3])
+    calibration = calibrate(associated_trajectories(samples, enough), enough)._replace(
+        covariance=np.diag(stds**2)
+    )
+    assert calibration.rotation_std() == pytest.approx(3e-3)
+    np.testing.assert_allclose(
+        calibration.goal_covariance(np.array([2.0, 0.0, 0.0])), np.diag([0.0, 6e-3, 2e-3]) ** 2
+    )
+
+
 def test_the_calibration_is_carried_along_when_the_tool_turns() -> None:
     samples, _ = turning_samples(0.5, math.radians(3.0))
     calibration = calibrate(associated_trajectories(samples, SETTINGS), SETTINGS)
