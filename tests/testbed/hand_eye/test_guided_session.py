@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import httpx
@@ -23,8 +24,8 @@ def test_a_session_runs_loses_a_sample_goes_on_and_is_exported(tmp_path: Path) -
 
         def shown(words: list[str]) -> str:
             done = subprocess.run(
-                words, cwd=tmp_path, env=os.environ | {"LONGREACH_URL": rest}, capture_output=True, text=True,
-                timeout=1500.0, check=False,
+                [sys.executable, "-m", *words], cwd=tmp_path, env=os.environ | {"LONGREACH_URL": rest},
+                capture_output=True, text=True, timeout=1500.0, check=False,
             )  # fmt: skip
             assert done.returncode == 0, done.stdout + done.stderr
             return done.stdout
