@@ -5,7 +5,6 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from foundation.configuration import Host, StrictModel, or_its_file
-from foundation.live import LiveSettings
 from foundation.secret_source import SecretSource
 from nominal_arm.commissioned import Commissioned, ValveSet
 
@@ -201,7 +200,6 @@ class ControllerConfig(StrictModel):
     flight_recorder_scans: int = Field(ge=1, le=100_000)
     recording_hz: float = Field(default=0.0, ge=0.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)
-    live: LiveSettings = LiveSettings()
 
     @model_validator(mode="after")
     def _settles(self) -> Self:

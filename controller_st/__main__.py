@@ -49,7 +49,6 @@ PROGRAM = ServiceProgram(
     files="arm.yaml and controller.yaml",
     records="the last scans after a fault",
     make=_make_service,
-    live="controller",
     follows="controller",
 )
 

@@ -57,8 +57,7 @@ class ServiceProgram(NamedTuple):
     """What ``python -m name`` is. ``make`` raises LongreachError for what cannot be started.
 
     ``files``: the configuration files that it reads; ``records``: what it writes in ``--record-dir``;
-    ``live``: the file whose key ``live`` says where it shows itself; ``follows``: the part as which
-    it follows the plant's clock, if the environment names one.
+    ``follows``: the part as which it follows the plant's clock, if the environment names one.
     """
 
     name: str
@@ -68,7 +67,6 @@ class ServiceProgram(NamedTuple):
     records: str
     make: Callable[[ServiceOptions, EventLog], RunnableService]
     switches: tuple[Switch, ...] = ()
-    live: str = ""
     follows: str = ""
 
 
@@ -146,12 +144,6 @@ def _parser(program: ServiceProgram) -> argparse.ArgumentParser:
         default=_records(program.name),
         help=f"write {program.records} in this directory; else in ${RECORDS}/{program.name}, if set",
     )
-    parser.add_argument(
-        "--foxglove",
-        type=int,
-        metavar="PORT",
-        help=f"show what is recorded to viewers at PORT, and figures at /metrics ({program.live}.live.port)",
-    )
     for switch in program.switches:
         parser.add_argument(switch.name, action="store_true", help=switch.help)
     return parser
@@ -163,8 +155,6 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
         print(f"{program.name} {importlib.metadata.version('longreach')}")
         raise SystemExit(0)
     overrides = parse_overrides(arguments.set)
-    if arguments.foxglove is not None:
-        overrides = merged(overrides, {program.live: {"live": {"port": arguments.foxglove}}})
     for switch in program.switches:
         if getattr(arguments, switch.name.lstrip("-").replace("-", "_")):
             overrides = merged(overrides, switch.overrides)

@@ -19,7 +19,6 @@ PROGRAM = ServiceProgram(
     files="plant.yaml, scene.yaml and plant_service.yaml",
     records="the truth, truth.mcap,",
     make=_make_service,
-    live="plant_service",
     switches=(
         Switch(
             "--allow-faults",

@@ -30,7 +30,6 @@ def main(argv: list[str] | None = None, programs: Sequence[Program[Any, Any]] = 
         files="arm.yaml and vision.yaml",
         records="vision.mcap, events.jsonl and the pictures of looks",
         make=made,
-        live="vision",
         follows="vision_pc",
     )
     return service_main(service, argv)

@@ -251,7 +251,7 @@ class ControllerService:
         """What is shown and what is recorded. Raises ConfigurationError."""
         config, recorded = self._config, self._record_dir is not None
         fifo = config.fifo_priority
-        show = open_show("controller", config.live, "controller.live", self._log, self._metrics_text, fifo)
+        show = open_show("controller", self._log, self._metrics_text, fifo)
         if config.recording_hz == 0.0 or (show is None and not recorded):
             if show is not None:
                 show.opened(False)(Path(), (), {})  # figures alone
@@ -270,7 +270,6 @@ class ControllerService:
             cycle_ms=self._config.cycle_ms,
             scheduling=self._scheduling,
             boot_id=self._boot_id,
-            live=None if self._show is None else self._show.address,
         )
 
     def _metrics_text(self) -> str:

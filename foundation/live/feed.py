@@ -1,29 +1,23 @@
-"""A service's feed of its live face, opened as its configuration and environment say."""
+"""A service's feed of the live view, where its environment names one."""
 
 import contextlib
 import json
 import os
 import select
 import socket
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from foundation.child_process import ended
 from foundation.event_log import EventLog
-from foundation.live import LiveSettings, wire
-from foundation.live.wire import SHARED_VARIABLE, LatestQueue
+from foundation.live import wire
+from foundation.live.wire import FEEDS_VARIABLE, LatestQueue
 from foundation.periods import take_fifo
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import RecordingThread, RecordSink
 from foundation.recording.recorder import OpenSink
-from foundation.rest.guard import Access
-from foundation.rest.tokens import configured_access
-from foundation.secret_source import bound_tcp
 
 _NOBODY: frozenset[int] = frozenset()
 _RETRY_S = 1.0
@@ -35,7 +29,7 @@ _Message = tuple[Any, int, bool]  # what, when, whether it is encoded already
 
 
 class LiveFeed:
-    """Feeds the face that ``connect`` reaches. ``offer`` takes a microsecond and waits for nothing.
+    """Feeds the live view. ``offer`` takes a microsecond and waits for nothing.
 
     Of topics that nobody wants nothing is kept, but the newest of those that are sent once. ``dropped``:
     messages that made room for newer ones. It is a recorder's sink too, which keeps no file.
@@ -49,22 +43,19 @@ class LiveFeed:
         self,
         service: str,
         log: EventLog,
-        connect: Callable[[], socket.socket],
+        feeds: str,
         metrics: Callable[[], str],
         fifo_priority: int = 0,
-        own: "OwnFace | None" = None,
     ) -> None:
         """``metrics`` returns what Prometheus is told; it is called by the feed's thread, when asked.
-        ``own``: the face, where it is of this service alone: it ends with the feed.
 
-        ``connect`` raises OSError where there is no face; it is tried again every second.
+        ``feeds``: the live view's Unix socket; where there is none, it is tried again every second.
         """
         self._service = service
         self._log = log
-        self._connect = connect
+        self._feeds = feeds
         self._metrics = metrics
         self._fifo_priority = min(fifo_priority, 1)
-        self._own = own
         self._topics: Sequence[Topic] = ()
         self._session = ""
         self._wanted: frozenset[int] = _NOBODY
@@ -74,11 +65,6 @@ class LiveFeed:
         self._ending = threading.Event()
         self._link: socket.socket | None = None
         self._thread = threading.Thread(target=self._feed, name="live-feed", daemon=True)
-
-    @property
-    def address(self) -> dict[str, str | int] | None:
-        """Host and port of a face of its own; none where it is shared."""
-        return None if self._own is None else dict(zip(("host", "port"), self._own.address, strict=True))
 
     @property
     def dropped(self) -> int:
@@ -112,7 +98,7 @@ class LiveFeed:
         self._keep(topic, (message, log_ns, False), _NOT_ENCODED)
 
     def close(self) -> None:
-        """End the thread, the connection, and a face of its own. What waits is not sent any more."""
+        """End the thread and the connection. What waits is not sent any more."""
         if self._ending.is_set():
             return
         self._ending.set()
@@ -123,8 +109,6 @@ class LiveFeed:
             self._thread.join(_CLOSE_S)
         if not self._thread.is_alive():
             os.close(self._wake)
-        if self._own is not None:
-            self._own.close()
 
     def _keep(self, topic: int, message: _Message, size: int) -> None:
         if self._topics[topic].once:
@@ -138,7 +122,8 @@ class LiveFeed:
         failed = 0
         while not self._ending.is_set():
             try:
-                with self._connect() as self._link:
+                with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as self._link:
+                    self._link.connect(self._feeds)
                     self._link.sendall(wire.hello(self._service, self._session, self._topics))
                     self._serve(self._link)
             except OSError as error:
@@ -198,77 +183,13 @@ class LiveFeed:
         link.sendall(wire.frame(wire.MESSAGE, data, topic, log_ns))
 
 
-def shared_server(name: str) -> socket.socket:
-    """A connection to the face that listens at the abstract socket ``name``. Raises OSError."""
-    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        link.connect("\0" + name)
-    except OSError:
-        link.close()
-        raise
-    return link
-
-
-def access_of(settings: LiveSettings, setting: str) -> Access:
-    """Whom the face serves. Raises ConfigurationError as ``read_tokens`` does."""
-    origins = frozenset(origin.lower() for origin in settings.allowed_origins)
-    return configured_access(settings, setting)._replace(allowed_origins=origins)
-
-
-class OwnFace:
-    """A face that this process starts: ``connect`` gives the other end of its socket, once.
-
-    ``address``: where it serves.
-    """
-
-    def __init__(self, service: str, settings: LiveSettings, setting: str) -> None:
-        """Raises ConfigurationError for a port that is busy, or tokens that cannot be read."""
-        access_of(settings, setting)  # judged here, where a refusal ends the start
-        self._name = f"longreach {service}"
-        self._settings = settings
-        self._listener = bound_tcp(settings.host, settings.port or 0, f"{setting}.port")
-        self._listener.listen()
-        self.address: tuple[str, int] = self._listener.getsockname()[:2]
-        self._process: Any = None
-
-    def connect(self) -> socket.socket:
-        """Start the process. Raises OSError when it had been started before: it has ended by itself then."""
-        if self._process is not None:
-            raise OSError(f"the live face ended with status {self._process.poll()}")
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-        with theirs, self._listener:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "foundation.live", self._name, self._settings.model_dump_json()]
-                + [str(each.fileno()) for each in (self._listener, theirs)],
-                stdin=subprocess.DEVNULL,
-                pass_fds=(self._listener.fileno(), theirs.fileno()),
-            )
-        return ours
-
-    def close(self) -> None:
-        """End the process, whose socket is closed by now; a port that nobody served is left."""
-        self._listener.close()
-        if self._process is not None:
-            ended(self._process)
-
-
 def open_show(
     service: str,
-    settings: LiveSettings,
-    setting: str,
     log: EventLog,
     metrics: Callable[[], str],
     fifo_priority: int = 0,
     environment: Mapping[str, str] = os.environ,
 ) -> LiveFeed | None:
-    """The feed of a service: of the face that LONGREACH_LIVE names, else of one of its own where
-    ``settings``, found at ``setting``, name a port; else none.
-
-    Raises ConfigurationError as ``OwnFace`` does.
-    """
-    if name := environment.get(SHARED_VARIABLE):
-        return LiveFeed(service, log, partial(shared_server, name), metrics, fifo_priority)
-    if settings.port is None:
-        return None
-    own = OwnFace(service, settings, setting)
-    return LiveFeed(service, log, own.connect, metrics, fifo_priority, own)
+    """The feed of a service into the live view that LONGREACH_LIVE names; where it names none, none."""
+    feeds = environment.get(FEEDS_VARIABLE)
+    return LiveFeed(service, log, feeds, metrics, fifo_priority) if feeds else None

@@ -1,4 +1,4 @@
-"""The live face: viewers subscribe to what services feed, and Prometheus asks for their figures.
+"""The live view: viewers subscribe to what services feed, and Prometheus asks for their figures.
 
 It runs in a process of its own (``foundation.live``): whatever a viewer does, no loop of a service sees it.
 """
@@ -19,15 +19,22 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from foundation.event_log import EventLog
-from foundation.live import wire
+from foundation.live import LiveSettings, wire
 from foundation.live.wire import LatestQueue
 from foundation.rest.guard import Access, Guard, GuardedRequest
 from foundation.rest.problems import DATA_HEADERS, MEDIA_TYPE, Refusal, RefusalLog, problem
+from foundation.rest.tokens import configured_access
 
 VIEWERS_MAX = 8
 _METRICS_WITHIN_S = 3.0
 _HANDSHAKE_S = 5.0
 _REQUEST_BYTES = 1 << 16  # of a viewer's message
+
+
+def access_of(settings: LiveSettings, setting: str) -> Access:
+    """Whom the live view serves. Raises ConfigurationError as ``read_tokens`` does."""
+    origins = frozenset(origin.lower() for origin in settings.allowed_origins)
+    return configured_access(settings, setting)._replace(allowed_origins=origins)
 
 
 class Feeder:

@@ -97,7 +97,7 @@ def _spread(prefix: str, spreads: Sequence[Spread]) -> Iterator[Metric]:
 HEAD = struct.Struct("<BIQI")
 HELLO, MESSAGE, METRICS = range(3)
 MOST = 1 << 26  # bytes of a frame: a raw picture has 2.8 million
-SHARED_VARIABLE = "LONGREACH_LIVE"  # the face that several services share, by its abstract socket
+FEEDS_VARIABLE = "LONGREACH_LIVE"  # the Unix socket through which services feed the live view
 
 
 def frame(kind: int, data: bytes, topic: int = 0, log_ns: int = 0) -> bytes:

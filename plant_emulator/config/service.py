@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from foundation.configuration import Host, HostName, StrictModel, load
-from foundation.live import LiveSettings
 from foundation.rest.tokens import TokenSources
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
@@ -45,7 +44,6 @@ class PlantServiceConfig(StrictModel):
     truth_hz: float = Field(ge=50.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)
     writer_release_ms: float = Field(ge=10.0, le=60_000.0)
-    live: LiveSettings = LiveSettings()
 
 
 class PlantSideConfig(NamedTuple):

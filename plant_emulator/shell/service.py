@@ -94,10 +94,7 @@ class PlantService:
             _bound_clock() as ticks,
             ExitStack() as shown,
         ):
-            fifo = service.fifo_priority
-            self._show = open_show(
-                _NAME, service.live, "plant_service.live", self._log, self._metrics_text, fifo
-            )
+            self._show = open_show(_NAME, self._log, self._metrics_text, service.fifo_priority)
             if self._show is not None:
                 shown.callback(self._show.close)
             addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
@@ -247,7 +244,6 @@ class PlantService:
             period_ms=self._config.service.period_ms,
             scheduling=self._scheduling,
             recording=None if self._record_dir is None else str(self._record_dir / "truth.mcap"),
-            live=None if self._show is None else self._show.address,
         )
 
     def _memory(self) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import tempfile
 import uuid
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,8 +12,7 @@ import psutil
 
 from foundation import clock
 from foundation.configuration import merged
-from foundation.live import LiveSettings
-from foundation.live.wire import SHARED_VARIABLE
+from foundation.live.wire import FEEDS_VARIABLE
 from foundation.recording.beginning import SESSION_VARIABLE
 from foundation.secret_source import read_secret
 from protocol.errors import ConfigurationError
@@ -179,6 +179,8 @@ def prepare(
 
     Raises ConfigurationError, also when a port is taken.
     """
+    live = overrides.get("live", {})
+    overrides = {name: given for name, given in overrides.items() if name != "live"}
     overrides = merged(overrides, free_ports() if any_ports else {})
     overrides = merged(overrides, _face_overrides(load_settings(config_dir, overrides)))
     settings = load_settings(config_dir, overrides)
@@ -190,9 +192,9 @@ def prepare(
     shared = (PortUse(key[2:], "127.0.0.1", port, _TCP, key) for key, port in beside.items() if port)
     check_ports((*ports_in_use(settings), *shared))
     session, api = str(uuid.uuid4()), settings.vision.api
-    feeds = f"longreach-live-{session}"
+    feeds = f"{tempfile.gettempdir()}/longreach-live-{session}"
     environment = {SESSION_VARIABLE: session} | _clock_environment(kind, ticks, timing)
-    environment |= {} if foxglove is None else {SHARED_VARIABLE: feeds}
+    environment |= {} if foxglove is None else {FEEDS_VARIABLE: feeds}
     given = [word for setting in flattened(overrides) for word in ("--set", setting)]
     common = ("--config-dir", str(config_dir), *given)
     modules = {PLANT: PLANT, CONTROLLER: controller.module, VISION: VISION}
@@ -201,6 +203,6 @@ def prepare(
         for name, module in modules.items()
     )
     if foxglove is not None:
-        shown = LiveSettings(port=foxglove, allowed_origins=settings.vision.live.allowed_origins)
-        services += (Service(LIVE, "foundation.live", (feeds, shown.model_dump_json())),)
+        shown = flattened({"live": {**live, "port": foxglove}})
+        services += (Service(LIVE, "foundation.live", tuple(shown), ((FEEDS_VARIABLE, feeds),)),)
     return Launch(services, settings, f"http://{api.host}:{api.port}", directory, foxglove, kind)

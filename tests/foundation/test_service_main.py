@@ -36,9 +36,7 @@ class Made:
 
 def program(made: Made) -> ServiceProgram:
     switch = Switch("--allow-faults", "breaks things", {"plant_service": {"allowed": True}})
-    return ServiceProgram(
-        "plant_emulator", "It.", "so", "a.yaml", "all", made.make, (switch,), "plant_service"
-    )
+    return ServiceProgram("plant_emulator", "It.", "so", "a.yaml", "all", made.make, (switch,))
 
 
 @pytest.mark.parametrize(("named", "recorded"), [("monday", "monday/plant_emulator"), ("", None)])
@@ -70,12 +68,10 @@ def test_the_command_line_becomes_options(tmp_path: Path) -> None:
         "--set",
         "scene.n=2",
         "--allow-faults",
-        "--foxglove",
-        "0",
     ]
     assert service_main(program(made), [*words, "--config-dir", "c", "--record-dir", str(tmp_path)]) == 0
     overrides = {"plant": {"payload": {"mass_kg": 50}, "seed": 1}, "scene": {"n": 2}}
-    switched = overrides | {"plant_service": {"live": {"port": 0}, "allowed": True}}
+    switched = overrides | {"plant_service": {"allowed": True}}
     assert made.options == ServiceOptions(Path("c"), switched, tmp_path)
     assert service_main(program(made), []) == 0
     assert made.options == ServiceOptions(Path("configs"), {}, None)

@@ -7,8 +7,9 @@ from typing import Any
 
 import yaml
 
-from foundation.configuration import parse_overrides
+from foundation.configuration import parse_overrides, validated
 from foundation.incidents import INCIDENTS
+from foundation.live import LiveSettings
 from tests.support.paths import ROOT
 
 TOKENS = "/var/lib/longreach-tokens"
@@ -83,22 +84,21 @@ def test_the_image_has_a_folder_of_its_user_for_every_volume_of_secrets() -> Non
     assert mounts <= set(made)
 
 
-def test_the_profile_of_figures_reads_the_faces_that_the_services_have() -> None:
+def test_the_profile_of_figures_reads_the_live_view_that_the_services_feed() -> None:
     services = document()["services"]
     profile = {name for name, each in services.items() if each.get("profiles") == ["metrics"]}
-    assert profile == {"prometheus", "grafana"}
+    assert profile == {"live", "prometheus", "grafana"}
     assert services["grafana"]["ports"] == ["127.0.0.1:${LONGREACH_GRAFANA_PORT:-3000}:3000"]
     (job,) = yaml.safe_load((ROOT / "grafana" / "prometheus.yml").read_text())["scrape_configs"]
     token = job["authorization"]["credentials_file"]
     assert token in services["tokens"]["command"]
-    for target, stem in (("plant", "plant_service"), ("controller", "controller"), ("vision", "vision")):
-        assert f"{target}:9100" in job["static_configs"][0]["targets"]
-        command = services[target]["command"]
-        assert f"{stem}.live.tokens.look.file={token}" in command
-        assert f"{stem}.live.allowed_hosts=[{target}]" in command
-        assert f"{stem}.live.port=${{LONGREACH_LIVE_PORT:-null}}" in command
-        words = [word.replace("${LONGREACH_LIVE_PORT:-null}", "null") for word in command if ".live." in word]
-        assert parse_overrides(words)[stem]["live"]["port"] is None, "off without the profile's variable"
+    settings = validated(LiveSettings, parse_overrides(services["live"]["command"][3:])["live"], "live")
+    assert job["static_configs"][0]["targets"] == [f"{settings.allowed_hosts[0]}:{settings.port}"]
+    assert str(settings.tokens.look.file) == token
+    shared = "incidents:/var/lib/longreach-incidents"
+    for name in ("plant", "controller", "vision", "live"):
+        assert shared in services[name]["volumes"]
+        assert services[name]["environment"]["LONGREACH_LIVE"] == "${LONGREACH_LIVE:-}", "off without it"
 
 
 def test_the_profile_of_campaigns_is_one_image_on_the_internal_network() -> None:

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from foundation.configuration import Host, HostName, StrictModel, configuration_hash
-from foundation.live import LiveSettings
 from foundation.rest.tokens import TokenSources
 from foundation.secret_source import SecretSource
 from nominal_arm.description import NominalArm
@@ -251,7 +250,6 @@ class VisionConfig(StrictModel):
     targets: TargetSettings = TargetSettings()
     api: ApiSettings = ApiSettings()
     recording: RecordingSettings = RecordingSettings()
-    live: LiveSettings = LiveSettings()
 
     @property
     def odometry_of_recordings(self) -> OdometrySettings:

@@ -85,7 +85,7 @@ class VisionService:
     def _open_records(self, options: ServiceOptions) -> None:
         """Raises ConfigurationError."""
         config, log = self._config, self._log
-        self._show = open_show(_NAME, config.live, "vision.live", log, lambda: self._metrics_text())
+        self._show = open_show(_NAME, log, lambda: self._metrics_text())
         self._recorder: VisionRecorder | None = None
         directory, show = options.record_dir, self._show
         if directory is None and show is None:
@@ -219,7 +219,6 @@ class VisionService:
             controller={"host": self._config.link.host, "port": self._config.link.port},
             camera=self._config.camera.source,
             scheduling=self._opened.worker.scheduling,
-            live=None if self._show is None else self._show.address,
         )
 
     def _counters(self) -> dict[str, Any]:

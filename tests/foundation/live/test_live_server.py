@@ -3,8 +3,11 @@
 import asyncio
 import io
 import json
+import os
 import socket
 import struct
+import subprocess
+import sys
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -16,8 +19,8 @@ from websockets.exceptions import InvalidStatus
 
 from foundation.event_log import EventLog
 from foundation.live import LiveSettings, wire
-from foundation.live.feed import LiveFeed, access_of
-from foundation.live.server import VIEWERS_MAX, LiveServer
+from foundation.live.feed import LiveFeed
+from foundation.live.server import VIEWERS_MAX, LiveServer, access_of
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import MessageField, RecordSink, format_of, message_class
 from foundation.rest.guard import ANYBODY_HERE, Access, Role
@@ -49,23 +52,14 @@ async def fed(tmp_path: Path, access: Access = ANYBODY_HERE, *, recorded: bool =
 
         return Topic(name, format_of(Number), encode, once=once)
 
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
-    links = [ours]
-
-    def connect() -> socket.socket:
-        if not links:
-            raise OSError("once only")
-        return links.pop()
-
     async with AsyncExitStack() as stack:
         log = EventLog("test", io.StringIO())
         stack.callback(log.close)
-        feed = LiveFeed("tested", log, connect, lambda: "longreach_tested 1\n")
+        feed = LiveFeed("tested", log, str(tmp_path / "feeds"), lambda: "longreach_tested 1\n")
         listener = socket.create_server(("127.0.0.1", 0))
         face = LiveServer(access, log, "longreach tested")
         await stack.enter_async_context(await face.serve(listener))
-        reader, writer = await asyncio.open_connection(sock=theirs)
-        feeding = asyncio.create_task(face.fed(reader, writer))
+        await stack.enter_async_context(await asyncio.start_unix_server(face.fed, tmp_path / "feeds"))
         topics = (topic(MOVING), topic(SILENT), topic(ONCE, once=True))
         sink = feed.opened(recorded)(tmp_path / "f.mcap", topics, ENTRIES)
         try:
@@ -73,7 +67,6 @@ async def fed(tmp_path: Path, access: Access = ANYBODY_HERE, *, recorded: bool =
         finally:
             await asyncio.to_thread(sink.close)
             await asyncio.to_thread(feed.close)
-            await asyncio.wait_for(feeding, WITHIN_S)
 
 
 async def wanted(rig: Rig, topic: int, *, is_wanted: bool = True) -> None:
@@ -251,6 +244,23 @@ async def test_only_so_many_viewers_look(tmp_path: Path) -> None:
         with pytest.raises(InvalidStatus) as refused:
             await viewers.enter_async_context(watching(rig.port))
         assert refused.value.response.status_code == 503
+
+
+@pytest.mark.parametrize(
+    ("feeds", "setting", "cause"),
+    [
+        ("", "live.port=0", "configuration.missing"),
+        ("/no-such-directory/live", "live.port=0", "configuration.bad_address"),
+        ("/tmp/live-of-a-test", "live.prt=0", "configuration.unknown_key"),
+        ("/tmp/live-of-a-test", "live.host=0.0.0.0", "configuration.token_wanted"),
+    ],
+)
+def test_the_process_refuses_what_it_cannot_serve(feeds: str, setting: str, cause: str) -> None:
+    command = [sys.executable, "-m", "foundation.live", setting]
+    environment = os.environ | {wire.FEEDS_VARIABLE: feeds}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"live: {cause}: ")
 
 
 async def test_a_feeder_that_says_nonsense_is_cut_off() -> None:
