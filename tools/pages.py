@@ -58,13 +58,8 @@ def world_sections() -> dict[str, str]:
 
 
 def _axes_of(drawn: list[str], every: list[str]) -> str:
-    """What a world draws: its axes, or those that it leaves out, whichever is shorter."""
-    left_out = [axis for axis in every if axis not in drawn]
-    if not drawn:
-        return "nothing more"
-    if len(left_out) < len(drawn):
-        return f"all axes below but {', '.join(map(_words, left_out))}"
-    return ", ".join(map(_words, drawn))
+    """What a world draws."""
+    return "all axes below" if len(drawn) == len(every) else ", ".join(map(_words, drawn))
 
 
 def _words(name: str) -> str:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS
 from conformance.runner import coupler_cases, reference_cases
 from controller.core.group_states import TRANSITIONS, Stimulus
-from controller.core.supervision import FAULTS
+from controller.core.supervision import REACTIONS
 from protocol.axes_group import Mode
 from protocol.faults import FAULT_TEXTS, Reason, Severity
 from tests.support.pages import page
@@ -158,9 +158,9 @@ def state_table() -> str:
 def fault_table() -> str:
     """The page's table of faults, with the words of the written protocol."""
     lines = ["| fault | when | reaction |", "| --- | --- | --- |"]
-    for row in FAULTS:
-        reaction = "stop" if row.reaction.severity is Severity.STOP else "emergency"
-        lines.append(f"| `{row.code.name}` | {FAULT_TEXTS[row.code]} | {reaction} |")
+    for code, reaction in REACTIONS.items():
+        how = "stop" if reaction.severity is Severity.STOP else "emergency"
+        lines.append(f"| `{code.name}` | {FAULT_TEXTS[code]} | {how} |")
     return "\n".join(lines)
 
 
