@@ -28,7 +28,7 @@ from testbed.scenarios.scenario import Settings
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.eyes import FrameEyes
-from vision_pc.application.ports import CameraStatus, FrameSource, Runtime
+from vision_pc.application.ports import CameraStatus, Runtime
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception import intrinsics, markers
 from vision_pc.core.perception.camera_errors import fitted_errors
@@ -54,7 +54,7 @@ F = TypeVar("F", bound=CameraFrame)
 class Sight(NamedTuple):
     """What eyes look with: a source of frames, and a sensor that measures in them."""
 
-    frames: FrameSource[Any]
+    frames: CameraFeed[Any]
     sensor: Sensor[Any]
 
 

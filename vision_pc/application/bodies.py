@@ -11,7 +11,16 @@ from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
 from vision_pc.config.choices import PositioningMethod
-from vision_pc.config.programs import OrientationSettings, PositioningSettings, VisualServoingSettings
+from vision_pc.config.programs import (
+    Association,
+    CircleMinimum,
+    MatchedTraces,
+    OrientationForm,
+    OrientationSettings,
+    PathPlacement,
+    PositioningSettings,
+    VisualServoingSettings,
+)
 
 Metres = Annotated[float, Field(ge=-10.0, le=10.0)]
 Vector = tuple[Metres, Metres, Metres]
@@ -53,7 +62,7 @@ class TurnSettings(OrientationSettings):
 class OrientationBody(RequestBody):
     """Orientation adjustment (7)(8)."""
 
-    form: Literal["frame_true", "paper"] | None = Field(None, examples=["frame_true"])
+    form: OrientationForm | None = Field(None, examples=["frame_true"])
     repetitions: int | None = Field(None, ge=1, le=5, examples=[1])
     limit_deg: float | None = Field(None, gt=0.0, le=90.0)
     target: Target | None = Field(None, examples=[None])
@@ -64,7 +73,7 @@ class LineEquationBody(RequestBody):
 
     radius_m: float | None = Field(None, ge=0.02, le=0.6, examples=[0.2])
     points: int | None = Field(None, ge=6, le=24, examples=[18])
-    minimum: Literal["sample", "fit"] | None = None
+    minimum: CircleMinimum | None = None
 
 
 class TrajectoryBody(RequestBody):
@@ -75,9 +84,9 @@ class TrajectoryBody(RequestBody):
     )
     turn_deg: float | None = Field(None, ge=5.0, le=175.0)
     heading_deg: float | None = Field(None, ge=-180.0, le=180.0)
-    placement: Literal["ends_here", "starts_here"] | None = None
-    method: Literal["points", "paper"] | None = None
-    association: Literal["time", "none"] | None = None
+    placement: PathPlacement | None = None
+    method: MatchedTraces | None = None
+    association: Association | None = None
 
 
 class LocalTrackBody(RequestBody):

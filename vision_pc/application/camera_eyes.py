@@ -7,8 +7,9 @@ from typing import TypeVar
 import numpy as np
 
 from vision_pc.application.annotate import annotated, png
+from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.eyes import FrameEyes
-from vision_pc.application.ports import CameraStatus, FrameSource, Log, Runtime, Seen
+from vision_pc.application.ports import CameraStatus, Log, Runtime, Seen
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.targets.carrier import AimedSensor, TargetCarrier
 from vision_pc.config.vision import VisionConfig
@@ -39,7 +40,7 @@ class CameraEyes(FrameEyes[StereoPair]):
 
     def __init__(
         self,
-        frames: FrameSource[StereoPair],
+        frames: CameraFeed[StereoPair],
         states: ReferenceLink,
         config: VisionConfig,
         runtime: Runtime,

@@ -18,7 +18,7 @@ _RATE_OVER = 20  # frames over which the rate is measured
 
 
 class CameraFeed(Generic[F]):
-    """Implements ``FrameSource``. Capture times are on this machine's clock.
+    """Frames of a camera as they arrive. Capture times are on this machine's clock.
 
     Who waits for a frame of a camera that is silent, repeats itself or was never there gets ``LinkLost``,
     never an old frame.
@@ -61,7 +61,8 @@ class CameraFeed(Generic[F]):
     async def frame_after(self, capture_ns: int) -> F:
         """The first frame to arrive that was captured after ``capture_ns``, or the newest if it was.
 
-        Raises LinkLost as the port says.
+        Raises LinkLost: ``link.camera_missing``, ``link.camera_silent``, ``link.camera_frozen`` or what the
+        stream was refused for (``frame.…``).
         """
         if not await self._clock.until(lambda: self._fresh_after(capture_ns), self._settings.stale_ms / 1e3):
             raise self._link_lost()

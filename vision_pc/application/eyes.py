@@ -13,10 +13,10 @@ import numpy as np
 
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
+from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.ports import (
     BackgroundWork,
     Clock,
-    FrameSource,
     Log,
     Runtime,
     SightRecorder,
@@ -84,7 +84,7 @@ class FrameEyes(Generic[F]):
 
     def __init__(
         self,
-        frames: FrameSource[F],
+        frames: CameraFeed[F],
         sensor: Sensor[F],
         states: ReferenceLink,
         settings: LookSettings,

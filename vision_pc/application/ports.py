@@ -18,7 +18,6 @@ from vision_pc.core.types import (
 )
 
 T = TypeVar("T")
-FrameT_co = TypeVar("FrameT_co", bound=CameraFrame, covariant=True)
 F = TypeVar("F", bound=CameraFrame)
 
 
@@ -134,27 +133,6 @@ class Runtime(NamedTuple):
     clock: Clock
     worker: Worker
     background: Background
-
-
-class FrameSource(Protocol[FrameT_co]):
-    """Frames of a camera as they arrive."""
-
-    @property
-    def newest(self) -> FrameT_co | None:
-        """The newest frame, None before the first."""
-        ...
-
-    async def frame_after(self, capture_ns: int) -> FrameT_co:
-        """The first frame to arrive that was captured after ``capture_ns``, or the newest if it was.
-
-        Raises LinkLost: ``link.camera_missing``, ``link.camera_silent``, ``link.camera_frozen`` or what the
-        stream was refused for (``frame.…``).
-        """
-        ...
-
-    def status(self) -> CameraStatus:
-        """How the camera is doing now."""
-        ...
 
 
 class SightRecorder(Protocol[F]):

@@ -1,7 +1,6 @@
 """Settings of the calibration and positioning programs: section ``programs`` of ``vision.yaml``."""
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -27,39 +26,16 @@ Small = Annotated[float, Field(gt=0.0, le=0.1)]
 Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
 
 
-class OrientationForm(StrEnum):
-    """The turn of (7)(8) as printed, or taken at the marker: right for any camera mount."""
-
-    FRAME_TRUE = "frame_true"
-    PAPER = "paper"
-
-
-class CircleMinimum(StrEnum):
-    """The least sample as printed, or a fit through all of them."""
-
-    SAMPLE = "sample"
-    FIT = "fit"
-
-
-class PathPlacement(StrEnum):
-    """Where the arm stands on the path: at its end, so that the object is in view again, or at its start."""
-
-    ENDS_HERE = "ends_here"
-    STARTS_HERE = "starts_here"
-
-
-class MatchedTraces(StrEnum):
-    """The marker's positions, the lever arm removed, or the camera's poses as in the paper."""
-
-    POINTS = "points"
-    PAPER = "paper"
-
-
-class Association(StrEnum):
-    """Whether the samples of both traces belong together by their time."""
-
-    TIME = "time"
-    NONE = "none"
+OrientationForm = Literal["frame_true", "paper"]
+"""The turn of (7)(8) taken at the marker: right for any camera mount; or as printed."""
+CircleMinimum = Literal["sample", "fit"]
+"""The least sample as printed, or a fit through all of them."""
+PathPlacement = Literal["ends_here", "starts_here"]
+"""Where the arm stands on the path: at its end, so that the object is in view again, or at its start."""
+MatchedTraces = Literal["points", "paper"]
+"""The marker's positions, the lever arm removed, or the camera's poses as in the paper."""
+Association = Literal["time", "none"]
+"""Whether the samples of both traces belong together by their time."""
 
 
 class OrientationSettings(StrictModel):

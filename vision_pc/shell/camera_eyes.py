@@ -9,7 +9,8 @@ from foundation import clock
 from foundation.event_log import EventLog
 from foundation.periods import take_policy
 from vision_pc.application.camera_eyes import CameraEyes
-from vision_pc.application.ports import Clock, FrameSource, Runtime
+from vision_pc.application.camera_feed import CameraFeed
+from vision_pc.application.ports import Clock, Runtime
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import StereoPair
@@ -121,7 +122,7 @@ class OpenedEyes(NamedTuple):
 
 
 def open_eyes(
-    camera: FrameSource[StereoPair], states: ReferenceLink, config: VisionConfig, log: EventLog
+    camera: CameraFeed[StereoPair], states: ReferenceLink, config: VisionConfig, log: EventLog
 ) -> OpenedEyes:
     """Eyes on ``camera`` within the running event loop. Raises ConfigurationError for a feed's taken port."""
     feed = UdpPoseFeed(config.odometry_feed, log) if config.odometry_feed.source == "udp" else None

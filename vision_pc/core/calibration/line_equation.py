@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import CircleMinimum, LineEquationSettings
+from vision_pc.config.programs import LineEquationSettings
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
@@ -81,7 +81,7 @@ def solve(samples: tuple[WatchSample, ...], X_BT_init: Array, settings: LineEqua
     on_circle = radius > 0.8 * r
     _check_coverage(phi[on_circle])
     _refuse_inside(d[radius < 0.1 * r], r)
-    if settings.minimum == CircleMinimum.FIT:
+    if settings.minimum == "fit":
         across = np.column_stack([along_n, along_s])
         p_u, d_min = _fitted_minimum(X_BT_init, across[on_circle], d[on_circle], r)
     else:

@@ -61,7 +61,7 @@ def reference_rotation(look: Look, form: OrientationForm) -> Array:
     same turn expressed at the marker, right for any camera mount.
     """
     R_CO, R_CM, R_BT = look.X_CO[:3, :3], look.X_CM[:3, :3], look.X_BT[:3, :3]
-    if form == OrientationForm.PAPER:
+    if form == "paper":
         R_delta = R_CO @ R_CM.T  # (7) r_Δ = r_O r_T⁻¹
         return nearest_rotation(R_BT @ R_delta)  # (8) T_ref = B_T_T [R_Δ 0; 0 1]
     R_MO = R_CM.T @ R_CO

@@ -18,10 +18,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import (
-    Association,
     LocalErrorModelSettings,
-    MatchedTraces,
-    PathPlacement,
     TrajectorySettings,
 )
 from vision_pc.core.calibration.local_calibration import (
@@ -67,8 +64,8 @@ async def trajectory_matching(
     X_BT_now = (await arm.view()).X_BT
     path = asymmetric_path(X_BT_now, settings)
     refuse_poor_path(path, settings)
-    length, returns = sum(settings.segments_m), settings.placement == PathPlacement.ENDS_HERE
-    async with eyes.watch(markers=settings.method == MatchedTraces.POINTS, odometry=True) as watch:
+    length, returns = sum(settings.segments_m), settings.placement == "ends_here"
+    async with eyes.watch(markers=settings.method == "points", odometry=True) as watch:
         if returns:
             report(0.05, "driving to where the path begins")
             await arm.move_to(path[0])
@@ -91,7 +88,7 @@ def asymmetric_path(X_BT: Array, settings: TrajectorySettings) -> list[Array]:
     for i, length in enumerate(settings.segments_m):
         xi = math.radians(settings.heading_deg + (settings.turn_deg if i % 2 else 0.0))
         corners.append(corners[-1] + length * math.cos(xi) * n + length * math.sin(xi) * s)  # (17) (18) (19)
-    shift = p - corners[-1] if settings.placement == PathPlacement.ENDS_HERE else np.zeros(3)
+    shift = p - corners[-1] if settings.placement == "ends_here" else np.zeros(3)
     return [transform(X_BT[:3, :3], corner + shift) for corner in corners]
 
 
@@ -99,7 +96,7 @@ def refuse_poor_path(path: list[Array], settings: TrajectorySettings) -> None:
     """Raises MeasurementFailed when the planned path cannot fix a rotation: straight, closed or symmetric."""
     points = _along(np.array([X[:3, 3] for X in path]), 80)
     path_frame(points)
-    if settings.association == Association.NONE and asymmetry(points) < _TWIN_LIMIT:
+    if settings.association == "none" and asymmetry(points) < _TWIN_LIMIT:
         raise MeasurementFailed(
             "measurement.path_symmetric",
             f"path: {asymmetry(points):.3f} extents from its mirrored twin, {_TWIN_LIMIT:g} is wanted",
@@ -125,7 +122,7 @@ def associated_trajectories(samples: tuple[WatchSample, ...], settings: Trajecto
             f"limit {_LOST_SHARE:.0%}",
         )
     p_CM = None
-    if settings.method == MatchedTraces.POINTS:
+    if settings.method == "points":
         sightings = [s.X_CM[:3, 3] for s in samples if s.X_CM is not None]
         if len(sightings) < 5:
             raise MeasurementFailed(
@@ -169,15 +166,15 @@ def calibrate(pair: TrajectoryPair, settings: TrajectorySettings) -> LocalCalibr
 def _fine_match(pair: TrajectoryPair, x: Array, R_cfa: Array, settings: TrajectorySettings) -> MixtureMatch:
     """R_fm as the transpose of the match's R: ``x`` is the camera's track after coarse alignment."""
     every = np.arange(len(x))
-    if settings.association == Association.NONE and len(x) > _UNASSOCIATED_POINTS:
+    if settings.association == "none" and len(x) > _UNASSOCIATED_POINTS:
         every = np.linspace(0, len(x) - 1, _UNASSOCIATED_POINTS).astype(int)
     y = pair.X_BT[every, :3, 3]
-    if settings.method == MatchedTraces.PAPER:
+    if settings.method == "paper":
         data = full_poses(x[every], R_cfa @ pair.X_C0C[every, :3, :3])
         model = full_poses(y, pair.X_BT[every, :3, :3])
     else:
         data, model = positions_only(x[every]), positions_only(y)
-    return match_trajectories(data, model, np.eye(3), associated=settings.association == Association.TIME)
+    return match_trajectories(data, model, np.eye(3), associated=settings.association == "time")
 
 
 def _inliers(residuals: Array, match: MixtureMatch) -> Array:
@@ -190,7 +187,7 @@ def _rotations_at_end(
     R_BC0: Array, pair: TrajectoryPair, settings: TrajectorySettings
 ) -> tuple[Array, Array | None]:
     """(R_BC at the path's end, R_TC): the paper takes the first for constant and has no second."""
-    if settings.method == MatchedTraces.PAPER:
+    if settings.method == "paper":
         return R_BC0, None
     last = zip(pair.X_BT[-AT_REST:, :3, :3], pair.X_C0C[-AT_REST:, :3, :3], strict=True)
     bodies = np.array([transform(R_BT.T @ R_BC0 @ R_C0C, np.zeros(3)) for R_BT, R_C0C in last])
@@ -208,7 +205,7 @@ def _refuse_poor_match(calibration: LocalCalibration, residuals: Array, settings
     outliers = 1.0 - calibration.inlier_share
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     # The paper's form is not refused for its spread: a mount rotation leaks into it, a second look mends it.
-    std_deg = math.degrees(calibration.rotation_std()) if settings.method == MatchedTraces.POINTS else 0.0
+    std_deg = math.degrees(calibration.rotation_std()) if settings.method == "points" else 0.0
     for cause, what, value, limit in (
         ("scale_mismatch", "scale error", abs(math.log(calibration.scale)), _SCALE_LIMIT),
         ("match_lost", "outlier share", outliers, _OUTLIER_SHARE),

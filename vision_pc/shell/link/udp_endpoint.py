@@ -21,7 +21,8 @@ from protocol.session_events import (
     StateReceived,
     StreamRefusedReceived,
 )
-from vision_pc.application.ports import Clock, FrameSource, Log
+from vision_pc.application.camera_feed import CameraFeed
+from vision_pc.application.ports import Clock, Log
 from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
 from vision_pc.config.vision import LinkSettings
 from vision_pc.core.types import StereoPair
@@ -39,7 +40,7 @@ class MachineWatch:
     """
 
     def __init__(
-        self, frames: FrameSource[StereoPair], link: ReferenceLink, begun_anew: Callable[[], None]
+        self, frames: CameraFeed[StereoPair], link: ReferenceLink, begun_anew: Callable[[], None]
     ) -> None:
         self._frames = frames
         self._link = link
