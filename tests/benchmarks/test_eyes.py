@@ -2,14 +2,13 @@
 figures.
 """
 
-import time
 from collections.abc import Callable
 
 import cv2
 import pytest
-from pytest_benchmark.fixture import BenchmarkFixture
 
 from protocol.errors import RequestRefused
+from tests.benchmarks.turns import least_in_turn
 from tests.support import recorded_sets
 from tests.vision_pc.perception.test_watch import World
 from vision_pc.config.vision import VisionConfig
@@ -20,7 +19,6 @@ from vision_pc.core.types import CameraCalibration, StereoPair
 pytestmark = [
     pytest.mark.usefixtures("one_core"),
     pytest.mark.bench,
-    pytest.mark.benchmark(timer=time.process_time),
     pytest.mark.timeout(600),
 ]
 
@@ -67,23 +65,11 @@ def shipped_pair() -> StereoPair:
     return World().shot((0.0, 0.0, 0.0), 1).pair
 
 
-def timed(
-    benchmark: BenchmarkFixture, work: Callable[[], object], plainly: Callable[[], object], limit: float
-) -> None:
-    """``limit``: times what the same takes ``plainly`` with OpenCV; of both the least of thirty rounds."""
-    work()
-    benchmark.pedantic(work, rounds=30)
-    assert benchmark.stats is not None
-    least_ms, peer_ms = 1e3 * benchmark.stats.stats.min, 1e3 * min(spent_s(plainly) for _ in range(30))
+def timed(work: Callable[[], object], plainly: Callable[[], object], limit: float) -> None:
+    """``limit``: times what the same takes ``plainly`` with OpenCV."""
+    least_ms, peer_ms = (1e3 * spent_s for spent_s in least_in_turn(work, plainly))
     print(f"\n{least_ms:.1f} ms; plainly with OpenCV {peer_ms:.1f} ms: {least_ms / peer_ms:.2f} of {limit:g}")
     assert least_ms < limit * peer_ms
-
-
-def spent_s(work: Callable[[], object]) -> float:
-    """Processor time of one round."""
-    began = time.process_time()
-    work()
-    return time.process_time() - began
 
 
 def opencv_markers(pair: StereoPair, config: VisionConfig) -> None:
@@ -105,10 +91,9 @@ def opencv_odometry(pair: StereoPair) -> None:
 
 
 def test_time_of_a_full_frame(
-    benchmark: BenchmarkFixture, camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
+    camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
 ) -> None:
     timed(
-        benchmark,
         lambda: look.observe(shipped_pair, camera, config.markers),
         lambda: opencv_markers(shipped_pair, config),
         FULL,
@@ -116,11 +101,10 @@ def test_time_of_a_full_frame(
 
 
 def test_time_of_a_tracked_frame(
-    benchmark: BenchmarkFixture, camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
+    camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
 ) -> None:
     before = look.observe(shipped_pair, camera, config.markers)
     timed(
-        benchmark,
         lambda: look.observe(shipped_pair, camera, config.markers, before),
         lambda: opencv_markers(shipped_pair, config),
         TRACKED,
@@ -128,11 +112,11 @@ def test_time_of_a_tracked_frame(
 
 
 def test_time_of_an_odometry_frame(
-    benchmark: BenchmarkFixture, camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
+    camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
 ) -> None:
     odometry = StereoOdometry(camera, config.odometry, config.markers.tool)
     odometry.process(shipped_pair, look.observe(shipped_pair, camera, config.markers).X_CM)
-    timed(benchmark, lambda: odometry.process(shipped_pair), lambda: opencv_odometry(shipped_pair), ODOMETRY)
+    timed(lambda: odometry.process(shipped_pair), lambda: opencv_odometry(shipped_pair), ODOMETRY)
 
 
 KNOWN, ANY = 3.0, 16.0  # times OpenCV's detector
@@ -159,8 +143,7 @@ def test_time_and_count_of_markers_in_photographs() -> None:
             lambda picture=picture, numbers=numbers: picture_markers.search(picture, family, numbers),
             lambda picture=picture: picture_markers.search(picture, family),
         )
-        rounds = [[1e3 * spent_s(each) for each in work] for _ in range(5)]
-        plain, tags, known, everything = (min(times) for times in zip(*rounds, strict=True))
+        plain, tags, known, everything = (1e3 * spent_s for spent_s in least_in_turn(*work, rounds=5))
         print(
             f"\n{file.name}: OpenCV {plain:.1f} ms ({theirs}), AprilTag {tags:.1f} ms "
             f"({len(apriltag.detect(picture))}); known {known:.1f} ms, {known / plain:.2f} of {KNOWN:g}; "
