@@ -8,7 +8,7 @@ import pytest
 from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import layout as col
 from plant_emulator.core.equilibrium import gravity_torque
-from plant_emulator.core.hydraulics.oil_rates import ATMOSPHERE
+from plant_emulator.core.hydraulics.oil_rates import ATMOSPHERE, pump_flow
 from plant_emulator.core.hydraulics.valve_commands import orifice_flow
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES
 from tests.plant_emulator.known_answers.stand import Array, Stand, bare_cylinder, default_config, resting_arm
@@ -170,6 +170,29 @@ def test_a_pump_at_its_limit_gives_that_and_its_pressure_sags() -> None:
     filled = (float(stand.state[col.SUPPLY]) - before) / 1.5 * softness * float(c[col.C_LINE_VOLUME])
     assert drawn + filled == pytest.approx(float(c[col.C_FLOW_LIMIT]), rel=2e-3)
     assert stand.state[col.SUPPLY] / BAR <= stand.config.pump.pressure_bar - stand.config.pump.droop_bar
+
+
+def test_a_lost_pump_lets_its_line_down_through_the_dump_to_the_return_line() -> None:
+    c = Stand(default_config()).model.circuit
+    c[col.C_RUNNING] = 0.0
+    for above in (100.0 * BAR, 0.0):
+        dumped = orifice_flow(c[col.C_DUMP], above, c[col.C_REGULARISATION])
+        assert pump_flow(c[col.C_RETURN] + above, 0.0, c) == pytest.approx(-dumped, abs=1e-15)
+
+
+@pytest.mark.parametrize("opening", [1.0, -1.0])
+def test_either_end_stop_bears_what_drives_the_piston_into_it(opening: float) -> None:
+    stand = bare_cylinder()
+    row = stand.model.actuators[0]
+    row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING, col.A_CUSHION]] = 1e7, 1e6, 0.05
+    zero, stroke = float(row[col.A_ANGLE0]), float(row[col.A_STROKE])
+    stand.state[col.Q], stand.command[0] = zero + (stroke - 0.2 if opening > 0.0 else 0.2), opening
+    stand.run(3.0, 1e-4)
+    p_a, p_b = stand.state[[col.PRESSURE_A, col.PRESSURE_B]]
+    y = float(stand.state[col.Q]) - zero
+    beyond, pushed = (y - stroke if opening > 0.0 else -y), p_a * row[col.A_AREA_A] - p_b * row[col.A_AREA_B]
+    assert beyond == pytest.approx(opening * pushed / 1e7, rel=1e-3)
+    assert beyond > 1e-3
 
 
 def test_a_shut_column_of_oil_shortens_as_it_cools() -> None:

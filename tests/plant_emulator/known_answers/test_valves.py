@@ -10,7 +10,8 @@ from plant_emulator.config.actuators import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.valves import JOINT_NAMES, JointName, Valve
 from plant_emulator.core import layout as col
-from plant_emulator.core.layout import PRESSURE_A, PRESSURE_B, RATE, SPOOL, SUPPLY, Q
+from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive, take
+from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, RATE, SPOOL, SUPPLY, Q
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, ValveImage
 from tests.plant_emulator.known_answers.stand import (
@@ -114,6 +115,13 @@ def test_hysteresis_is_a_play_between_command_and_spool() -> None:
     up, top = bench.hold(0.06, 0.8)[-1], bench.hold(0.5, 0.8)[-1]
     assert bench.hold(0.5 - 0.9 * valve.hysteresis, 0.8)[-1] == pytest.approx(top, abs=2e-4)
     assert bench.hold(0.06, 0.8)[-1] - up == pytest.approx(valve.hysteresis, abs=2e-4)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_command_beyond_the_stroke_is_the_stroke(sense: float) -> None:
+    valves = ValveCommands(ValveDrive((0,) * N_ACTUATORS, (0.0,) * N_ACTUATORS), 1).targets
+    take(valves, 2, 1.5 * sense)
+    assert valves.commanded.tolist() == valves.spool.tolist() == [0.0, 0.0, sense, 0.0, 0.0, 0.0]
 
 
 def test_full_strokes_take_as_long_as_a_ramp_a_lag_and_a_delay() -> None:
