@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import psutil
 
 from foundation import clock
-from foundation.configuration import merged
+from foundation.configuration import merged, validated
+from foundation.live import LiveSettings
 from foundation.live.wire import FEEDS_VARIABLE
 from foundation.recording.beginning import SESSION_VARIABLE
 from foundation.secret_source import read_secret
@@ -165,6 +166,15 @@ def _clock_environment(kind: ClockKind, port: int, timing: Timing) -> dict[str, 
     return {clock.CLOCK: f"127.0.0.1:{port}", clock.PACE: pace, GOES: timing.goes}
 
 
+def _live_keys(overrides: Overrides, foxglove: int | None) -> dict[str, Any]:
+    """What ``overrides`` say of the live view. Raises ConfigurationError, also where there is to be none."""
+    live = dict(overrides.get("live", {}))
+    if live and foxglove is None:
+        raise ConfigurationError("configuration.contradiction", "live.…: nothing is shown without --foxglove")
+    validated(LiveSettings, live, "live")
+    return live
+
+
 def prepare(
     config_dir: Path,
     overrides: Overrides,
@@ -179,9 +189,9 @@ def prepare(
 
     Raises ConfigurationError, also when a port is taken.
     """
-    live = overrides.get("live", {})
-    overrides = {name: given for name, given in overrides.items() if name != "live"}
-    overrides = merged(overrides, free_ports() if any_ports else {})
+    live = _live_keys(overrides, foxglove)
+    of_services = {name: given for name, given in overrides.items() if name != "live"}
+    overrides = merged(of_services, free_ports() if any_ports else {})
     overrides = merged(overrides, _face_overrides(load_settings(config_dir, overrides)))
     settings = load_settings(config_dir, overrides)
     if foxglove == 0:

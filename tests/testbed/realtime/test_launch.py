@@ -48,3 +48,23 @@ def test_a_face_that_offers_something_is_introduced(
 def test_an_address_that_is_none_is_refused(address: str) -> None:
     with pytest.raises(ConfigurationError, match="emulator_face"):
         load_settings(CONFIGS, merged({}, {"vision": {"api": {"emulator_face": address}}}))
+
+
+def test_the_live_view_gets_its_keys_and_the_services_its_socket(tmp_path: Path) -> None:
+    hosts = {"live": {"allowed_hosts": ["bench"]}}
+    *services, live = prepare(CONFIGS, hosts, tmp_path, any_ports=True, foxglove=8765).services
+    ((_, feeds),) = live.environment
+    assert (live.module, set(live.arguments)) == (
+        "foundation.live",
+        {"live.allowed_hosts=[bench]", "live.port=8765"},
+    )
+    assert all(dict(service.environment)["LONGREACH_LIVE"] == feeds for service in services)
+    assert not any("live." in argument for service in services for argument in service.arguments)
+
+
+@pytest.mark.parametrize(("keys", "foxglove"), [({"prt": 1}, 8765), ({"allowed_hosts": ["bench"]}, None)])
+def test_keys_of_the_live_view_that_nobody_reads_are_refused(
+    tmp_path: Path, keys: dict[str, object], foxglove: int | None
+) -> None:
+    with pytest.raises(ConfigurationError, match="live"):
+        prepare(CONFIGS, {"live": keys}, tmp_path, any_ports=True, foxglove=foxglove)
