@@ -3,12 +3,33 @@
 import time
 from collections.abc import Callable, Iterable
 from contextlib import closing
-from importlib import import_module
 from typing import Any
 
 from conformance.case import Attempt, CaseOutcome, ConformanceCase, Result, Summary, coupler, reference
+from conformance.classes import bursts, long_numbers, many_peers, real_numbers
+from conformance.coupler import sequences
 from conformance.parts import OptionalPart, Profile
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
+from conformance.reference import (
+    answers,
+    arm_motion_times,
+    arm_state_scan,
+    arm_state_truth,
+    arm_stream_following,
+    arm_stream_times,
+    arm_transitions,
+    authentication,
+    datagram_drops,
+    datagram_refusals,
+    datagrams_sent,
+    endings,
+    framing,
+    handshake,
+    motion,
+    order,
+    sessions,
+    streaming,
+)
 from conformance.subjects import ControllerSubject, CouplerSubject, Lacking, LatenessWatch, Subject
 from conformance.wire import Failed, Line, NonceSource, Unsupported
 from protocol.authentication import LinkKey
@@ -16,14 +37,9 @@ from protocol.errors import LinkLost
 
 # Loading a module enters its cases.
 _MODULES = (
-    "reference.framing", "reference.sessions", "reference.handshake", "reference.order",
-    "reference.motion", "reference.endings", "reference.streaming", "reference.authentication",
-    "reference.answers", "reference.datagrams_sent", "reference.datagram_refusals",
-    "reference.datagram_drops", "reference.arm_transitions",
-    "reference.arm_state_truth", "reference.arm_state_scan", "reference.arm_motion_times",
-    "reference.arm_stream_times", "reference.arm_stream_following", "classes.long_numbers",
-    "classes.real_numbers", "classes.bursts",
-    "classes.many_peers",
+    framing, sessions, handshake, order, motion, endings, streaming, authentication, answers, datagrams_sent,
+    datagram_refusals, datagram_drops, arm_transitions, arm_state_truth, arm_state_scan, arm_motion_times,
+    arm_stream_times, arm_stream_following, long_numbers, real_numbers, bursts, many_peers, sequences,
 )  # fmt: skip
 
 
@@ -34,14 +50,11 @@ EXCUSED_MS = 5.0
 
 def reference_cases() -> tuple[ConformanceCase, ...]:
     """All cases for the reference link, by number."""
-    for module in _MODULES:
-        import_module(f"conformance.{module}")
     return reference.cases
 
 
 def coupler_cases() -> tuple[ConformanceCase, ...]:
     """All cases for the coupler, by number."""
-    import_module("conformance.coupler.sequences")
     return coupler.cases
 
 
