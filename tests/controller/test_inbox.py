@@ -85,6 +85,14 @@ def test_of_streamed_references_the_newest_by_number_is_judged(
     assert inbox.take_streamed() is None
 
 
+def test_of_too_many_stops_one_goes_that_is_said_again_later() -> None:
+    inbox = Inbox()
+    once = [CommandCode.DISABLE, CommandCode.EMERGENCY_STOP]
+    inbox.put(list(received([*once, *[CommandCode.STOP] * (WAITING - 1)])))
+    handed = ids(inbox.take(True)[0])
+    assert handed == [1, 2, *range(4, WAITING + 2)]
+
+
 def test_stops_of_a_session_that_ended_are_obeyed_and_nothing_else_of_it() -> None:
     inbox = Inbox()
     asked = received([CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
+from controller.core.references.streaming import pace
 from controller.core.settings import ScanSettings
 from protocol.axes_group import Mode
 from protocol.faults import FaultCode
@@ -20,6 +21,11 @@ from tests.controller.streamed import (
     turned,
     turns,
 )
+
+
+@pytest.mark.parametrize(("fade", "rate"), [(0.0, 1.0), (0.25, 0.84375), (0.5, 0.5), (1.0, 0.0)])
+def test_the_pace_falls_smoothly_from_full_to_none(fade: float, rate: float) -> None:
+    assert pace(fade) == pytest.approx(rate, abs=1e-15)
 
 
 @pytest.mark.parametrize("rate_hz", [15.0, 30.0, 60.0])

@@ -13,7 +13,7 @@ from controller.core.excitation.plan import (
     begun,
     driven,
 )
-from controller.core.excitation.strokes import excite
+from controller.core.excitation.strokes import excite, room_for
 from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, LSB, START, ToyValve, plan_for, tried
 
 
@@ -100,6 +100,18 @@ def test_a_joint_without_room_is_not_moved() -> None:
     assert failure.cause == "commissioning.no_room"
     assert all(sample.valve == 0.0 for sample in samples)
     assert state.phase is Phase.ENDED
+
+
+@pytest.mark.parametrize(("q", "sense", "room"), [(0.5, -1.0, None), (-0.5, 1.0, None), (0.0, 1.0, None),
+                                                  (0.7, 1.0, 1.7), (-0.7, 1.0, 1.7)])  # fmt: skip
+def test_strokes_turn_to_where_there_is_room(q: float, sense: float, room: float | None) -> None:
+    """0.8 rad are wanted on one side and half of that on the other, of a range of 2 rad."""
+    limits = plan_for(5).limits._replace(
+        joint_range=np.array([[-1.0] * 6, [1.0] * 6]), travel=np.full(6, 0.5)
+    )
+    found, failure = room_for(limits, 5, q)
+    assert found == sense
+    assert (failure and failure.value) == (room and pytest.approx(room))
 
 
 def test_a_joint_that_creeps_behind_its_closed_valve_is_tried_out_all_the_same() -> None:

@@ -20,6 +20,7 @@ from controller.core.trajectories.path_survey import (
     survey_straight,
 )
 from controller.core.trajectories.paths import Path, at_rest, path_from, pose_on_segment
+from controller.core.trajectories.workspace import WorkspaceBounds, opened
 from protocol.faults import Reason
 from protocol.reference_messages import ReferencePath
 from tests.controller.obedient_plant import Bench
@@ -111,3 +112,20 @@ def test_a_path_from_a_moving_state_is_surveyed_whole_no_more_than_twice(
     assert len(counts) > 3
     assert set(counts[1:-1]) == {1}
     assert survey(settings.planning, found, bench.state.watch.q_meas).reason is Reason.ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("p", "box", "radius"),
+    [
+        ((0.2, -3.0, 4.0), [[0.2, 2.0], [-3.0, 1.0], [0.0, 4.0]], 0.5),
+        ((0.1, 0.2, 1.0), [[0.1, 2.0], [-1.0, 1.0], [0.0, 3.0]], math.hypot(0.1, 0.2)),
+        ((5.0, 5.0, -5.0), [[1.0, 5.0], [-1.0, 5.0], [-5.0, 3.0]], 0.5),
+    ],
+)
+def test_the_workspace_opens_for_an_arm_that_stands_outside(
+    p: tuple[float, float, float], box: list[list[float]], radius: float
+) -> None:
+    space = WorkspaceBounds(np.array([[1.0, 2.0], [-1.0, 1.0], [0.0, 3.0]]), 0.5)
+    widened = opened(space, np.array(p))
+    assert widened.box.tolist() == box
+    assert widened.radius_min == radius
