@@ -75,6 +75,15 @@ async def test_it_ends_inside_the_aim_and_says_so_and_leaves_it_at_that() -> Non
     assert len(faithful.steps) == 1
 
 
+async def test_a_second_input_is_given_its_chance_and_no_third_that_does_not_help() -> None:
+    """Off by 0.93 rad about the depth axis a step leaves 2 sin(0.47) = 0.9 of the error: more than 0.8."""
+    arm = rig(0)
+    calibration = exact(arm, 0.93 * arm.X_BC_true()[:3, 2])
+    result = await look_then_move(arm, arm, silent, changed(inputs=5), calibration)
+    assert (len(result.steps), len(result.looks)) == (2, 3)
+    assert result.ended == "contradicted"  # no look ended where that calibration had it end
+
+
 async def test_depth_counts_before_the_aim_is_reached() -> None:
     arm = rig(0)
     calibration = exact(arm)
