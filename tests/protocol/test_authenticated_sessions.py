@@ -64,6 +64,18 @@ class TestSessions:
             assert wire.client.statistics.not_authenticated >= 1
             assert wire.server.statistics.dropped >= 4
 
+    @pytest.mark.parametrize("key", [None, KEY])
+    def test_a_session_is_authenticated_while_it_is_open_and_signed(self, key: LinkKey | None) -> None:
+        wire = a_wire(key, key)
+        states = [wire.client.authenticated]
+        wire.client.connect(wire.now_ns)
+        wire.run(50)
+        assert wire.client.connected
+        states.append(wire.client.authenticated)
+        wire.client.disconnect(wire.now_ns)
+        states.append(wire.client.authenticated)
+        assert states == [False, key is not None, False]
+
     def test_a_client_does_not_take_an_unsigned_or_forged_welcome(self) -> None:
         client = ReferenceClient(7, key=KEY)
         client.connect(0)

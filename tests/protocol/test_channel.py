@@ -41,6 +41,10 @@ def oracle(start: int, arrivals: list[int]) -> tuple[list[Arrival], int]:
     return verdicts, len(lost)
 
 
+def test_the_window_is_that_of_the_written_protocol() -> None:
+    assert WINDOW_DATAGRAMS == 64  # clause 5.2
+
+
 @given(
     st.sampled_from([0, 1, 1000, SEQUENCE_MODULUS - 1, SEQUENCE_MODULUS - 40, SEQUENCE_MODULUS // 2]),
     st.lists(

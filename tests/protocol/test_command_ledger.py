@@ -60,3 +60,10 @@ class Repetitions(RuleBasedStateMachine):
 
 TestRepetitions = Repetitions.TestCase
 TestRepetitions.settings = settings(max_examples=150, stateful_step_count=40)
+
+
+def test_an_answer_settles_a_request_once_and_none_that_nobody_made() -> None:
+    ledger = CommandLedger()
+    assert ledger.admit(3, b"a").execute
+    assert [ledger.settle(accepted(number)) for number in (2, 3, 3)] == [False, True, False]
+    assert ledger.admit(3, b"a").answer == accepted(3)

@@ -103,6 +103,11 @@ def test_each_fault_has_its_cause(offset: int, code: str, value: int, cause: str
     assert cause_of(with_number(hello, offset, code, value)) == cause
 
 
+def test_a_payload_of_another_length_is_told_with_its_own() -> None:
+    with pytest.raises(DatagramRefused, match=r"payload of 35 bytes: the header says 32"):
+        decode(encode(Hello(1, 2, 3, 4), HEADER) + bytes(3))
+
+
 @pytest.mark.parametrize("minor", [0, 1, 255])
 def test_a_newer_minor_version_and_unknown_optional_flags_are_read(minor: int) -> None:
     header = HEADER._replace(minor=minor, flags=0x00FF)
