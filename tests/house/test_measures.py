@@ -13,14 +13,14 @@ from tests.house import measures
 # names what was asked for, and lowers another by as much. A patch may exceed it by PATCH; the next cut brings
 # the house below again (tests/packaging/test_contributions.py always adds one patch more).
 BUDGET = {
-    "lines of source": 82_732,
-    "statements of source": 41_183,
+    "lines of source": 82_603,
+    "statements of source": 41_119,
     "statements of ROS 2": 877,
-    "statements of conformance": 4_335,
+    "statements of conformance": 4_333,
     "statements of laboratory": 1_974,
     "statements of structured text": 2_579,
-    "statements of the product": 31_410,
-    "lines that the three services import": 50_005,
+    "statements of the product": 31_348,
+    "lines that the three services import": 49_865,
     "lines of tests": 54_173,
     "statements of tests": 29_074,
     # Asked for: the console holds time and shows its pace. For it went the fold of the valves' trials by eye.
