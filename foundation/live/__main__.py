@@ -51,7 +51,11 @@ def main() -> int:
             if not feeds:
                 why = f"{FEEDS_VARIABLE} names the socket that services feed; it is not set"
                 raise ConfigurationError("configuration.missing", why)
-            settings = validated(LiveSettings, parse_overrides(sys.argv[1:]).get("live", {}), "live")
+            given = parse_overrides(sys.argv[1:])
+            if others := given.keys() - {"live"}:
+                why = f"{', '.join(sorted(others))}: the live view has keys of live alone"
+                raise ConfigurationError("configuration.unknown_key", why)
+            settings = validated(LiveSettings, given.get("live", {}), "live")
             server = LiveServer(access_of(settings, "live"), log, _NAME)
             with bound_tcp(settings.host, settings.port, "live.port") as listener:
                 _run(server, listener, feeds)

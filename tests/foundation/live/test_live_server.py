@@ -249,15 +249,18 @@ async def test_only_so_many_viewers_look(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("feeds", "setting", "cause"),
     [
-        ("", "live.port=0", "configuration.missing"),
-        ("/no-such-directory/live", "live.port=0", "configuration.bad_address"),
-        ("/tmp/live-of-a-test", "live.prt=0", "configuration.unknown_key"),
-        ("/tmp/live-of-a-test", "live.host=0.0.0.0", "configuration.token_wanted"),
+        (None, "live.port=0", "configuration.missing"),
+        ("absent/feeds", "live.port=0", "configuration.bad_address"),
+        ("feeds", "live.prt=0", "configuration.unknown_key"),
+        ("feeds", "lve.port=0", "configuration.unknown_key"),
+        ("feeds", "live.host=0.0.0.0", "configuration.token_wanted"),
     ],
 )
-def test_the_process_refuses_what_it_cannot_serve(feeds: str, setting: str, cause: str) -> None:
+def test_the_process_refuses_what_it_cannot_serve(
+    tmp_path: Path, feeds: str | None, setting: str, cause: str
+) -> None:
     command = [sys.executable, "-m", "foundation.live", setting]
-    environment = os.environ | {wire.FEEDS_VARIABLE: feeds}
+    environment = os.environ | {wire.FEEDS_VARIABLE: str(tmp_path / feeds) if feeds else ""}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith(f"live: {cause}: ")
