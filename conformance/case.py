@@ -82,9 +82,6 @@ reference = CaseRegister[Peer](OptionalPart.MOTION)
 coupler = CaseRegister[Master](OptionalPart.OUTPUTS)
 
 
-GOOD = (CaseOutcome.PASS, CaseOutcome.FLAKY)
-
-
 class Attempt(NamedTuple):
     """One asking of a case; ``detail`` says why it did not pass."""
 

@@ -109,7 +109,6 @@ COORDINATES = (
 HINGES = ("boom_vertical", "boom_lateral", "arm_vertical", "arm_lateral")
 
 DRIVEN = (0, 1, 4, 7, 8, 9)  # coordinate of each joint
-FLEXIBLE = (2, 3, 5, 6)  # coordinate of each hinge
 
 N_COORDINATES = 10
 N_ACTUATORS = 6

@@ -44,7 +44,7 @@ from plant_emulator.core.mechanics.loose import set_phases
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import Model, build_model, put_payload
 from plant_emulator.core.right_hand_side import EncoderShafts, advance_commanded, new_work
-from plant_emulator.core.stability import check_step, modes
+from plant_emulator.core.stability import check_step
 from plant_emulator.core.truth import Encoders, Mounts, PlantTruth, inverse
 from protocol.errors import RequestRefused
 from protocol.process_image import (
@@ -264,10 +264,6 @@ class Plant:
         k = self._chain.names.index("slew")  # the body before it is the base
         rocked = transform(rotation[k], origin[k])
         return X_WB @ rocked, inverse(rocked) @ X_BT, X_WT
-
-    def vibrations(self) -> NDArray[np.complex128]:
-        """The eigenvalues (1/s) of the whole plant now with its valves shut; for surveys of the plant."""
-        return modes(self._model, self._state)
 
     def set_payload(self, mass_kg: float) -> None:
         """Change the load at the tool at this instant; velocities stay, as when a load is let go.

@@ -47,11 +47,6 @@ def linearised(model: Model, state: Array, command: Array) -> Array:
     return jacobian
 
 
-def modes(model: Model, state: Array) -> NDArray[np.complex128]:
-    """The eigenvalues (states,) of the plant at ``state`` with its valves closed (1/s, complex)."""
-    return np.asarray(np.linalg.eigvals(linearised(model, state, np.zeros(N_ACTUATORS))))
-
-
 def check_step(model: Model, state: Array, step: float, names: Sequence[str] = COORDINATES) -> None:
     """Raise ConfigurationError when ``step`` (s) is too long for the arm's own vibrations at ``state``.
 

@@ -10,6 +10,7 @@ import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,6 +62,7 @@ def files(root: Path, *suffixes: str) -> list[Path]:
     return sorted(path for path in found if path.suffix in suffixes and path.is_file())
 
 
+@cache
 def modules(root: Path) -> list[Module]:
     """All Python files of a checkout, tests too, by name."""
     found = []
