@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -33,6 +34,41 @@ _MOST_LEVELS = 64  # of YAML
 _SHOWN = 80  # characters of a value that is refused
 _KEYED = ("model_type", "model_attributes_type", "dict_type")
 _WANTS_KEYS = "keys with values are wanted"
+_PARSER_WORDS = {
+    "cannot start any token": "nothing begins so: lines are set in by spaces, no tabs; such text is quoted",
+    "mapping values": "a second colon in one line, or a line that is set in farther than the one above",
+    "expected ':'": "a key without the colon and space behind it",
+    "unexpected end": "a quote is not closed",
+    "did not find expected": "a line is set in otherwise than its neighbours, or lacks a comma or bracket",
+    "undefined alias": "no such anchor (&) above",
+    "unhashable key": "a key is one text",
+    "another document": "one document is wanted, and here begins another",
+}
+"""What libyaml says → what is wrong."""
+_WORDS = {
+    "missing": "a value is wanted, there is none",
+    "extra_forbidden": "no such key",
+    "bool_type": "true or false is wanted",
+    "int_type": "a number in decimal digits is wanted",
+    "float_type": "a number in decimal digits is wanted",
+    "int_from_float": "a whole number is wanted",
+    "finite_number": "a finite number is wanted",
+    "string_type": "text is wanted, in quotes where it looks like something else",
+    "path_type": "a path is wanted",
+    "tuple_type": "a list is wanted",
+    "too_long": "at most {max_length} items are wanted, not {actual_length}",
+    "too_short": "at least {min_length} items are wanted, not {actual_length}",
+    "string_too_long": "at most {max_length} characters are wanted",
+    "string_too_short": "characters are wanted, {min_length} at least",
+    "string_pattern_mismatch": "other characters are wanted: {pattern}",
+    "union_tag_not_found": "the key {discriminator} is wanted",
+    "union_tag_invalid": "{discriminator} = {tag!r} is none of {expected_tags}",
+    "invalid_key": "a key is text",
+}
+"""Pydantic's word for an error → our sentence; of others its own is cut to the limit."""
+_OF_SCHEMA = re.compile(
+    r"\[key\]|[a-z]+(-[a-z]+)*\[.*\)?, .*\]|function-.*"
+)  # parts of a place that no file has
 
 
 class StrictModel(BaseModel):
@@ -86,14 +122,14 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
     """
     data = parse_yaml(text, where)
     if not isinstance(data, dict):
-        found = "nothing is written" if data is None else f"not {data!r}"[:_SHOWN]
+        found = "nothing is written" if data is None else f"not {_as_written(data)}"[:_SHOWN]
         raise ConfigurationError("configuration.not_a_mapping", f"{where}: {_WANTS_KEYS}, {found}")
     return data
 
 
 def parse_yaml(text: str, where: str, loader: type[StrictLoader] = StrictLoader) -> Any:
-    """What YAML ``text`` holds; ``where`` names its origin. Raises ConfigurationError, also for a value that
-    no type of Python takes (a 13th month), and for more than 64 levels, which would break the parser itself.
+    """What YAML ``text`` holds; ``where`` names its origin. Raises ConfigurationError, also for more than 64
+    levels, which would break the parser itself.
     """
     try:
         depth = 0
@@ -102,11 +138,20 @@ def parse_yaml(text: str, where: str, loader: type[StrictLoader] = StrictLoader)
             if depth > _MOST_LEVELS:
                 raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels: {event.start_mark}")
         return yaml.load(text, Loader=loader)
-    except (yaml.YAMLError, ValueError) as error:
-        why = " ".join(str(error).replace(' in "<unicode string>",', " at").split())
-        raise ConfigurationError("configuration.not_yaml", f"{where}: {why}") from error
+    except yaml.YAMLError as error:
+        raise ConfigurationError("configuration.not_yaml", f"{where}: {_misspelt(error)}") from error
     except ConfigurationError as error:
         raise ConfigurationError(error.cause, f"{where}: {error}") from error
+
+
+def _misspelt(error: yaml.YAMLError) -> str:
+    """Where and why a text is no YAML, in words of ours where the parser's say little."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return " ".join(str(error).replace(' in "<unicode string>",', " at").split())
+    at, begun, said = error.problem_mark, error.context_mark, error.problem or ""
+    why = next((ours for its, ours in _PARSER_WORDS.items() if its in said), said)
+    from_line = "" if begun is None or begun.line == at.line else f", in what begins in line {begun.line + 1}"
+    return f"line {at.line + 1}, column {at.column + 1}{from_line}: {why}"
 
 
 def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,18 +231,30 @@ def validated(
 
 
 def fault_words(fault: Mapping[str, Any], why: str | None = None) -> str:
-    """``key = value: why`` of one of pydantic's errors, in its words unless ``why`` has better ones.
+    """``key = value: why`` of one of pydantic's errors; ``why``: where somebody knows it better.
 
     A value that is missing or has keys of its own is not shown.
     """
-    key = ".".join(map(str, fault["loc"])) or "(whole file)"
+    places = [str(part) for part in fault["loc"] if not _OF_SCHEMA.fullmatch(str(part))]
+    key = ".".join(places) or "(whole file)"
     # A key written where only its place may be named must not reach a log on top of it.
     hidden = fault["type"] == "missing" or "link_key" in fault["loc"] or isinstance(fault["input"], Mapping)
-    value = "" if hidden else f" = {fault['input']!r}"[:_SHOWN]
+    value = "" if hidden else f" = {_as_written(fault['input'])}"[:_SHOWN]
     if fault["type"] in _KEYED and why is None:
         not_json = isinstance(fault["input"], bytes)
         why = f"{_WANTS_KEYS}, with the header Content-Type: application/json" if not_json else _WANTS_KEYS
-    return f"{key}{value}: {why or fault['msg'].removeprefix('Value error, ')}"
+    if why is None and (words := _WORDS.get(fault["type"])):
+        why = words.format(**fault.get("ctx", {}))
+    return f"{key}{value}: {why or re.sub('^(Value error, |Input (?=should))', '', fault['msg'])}"
+
+
+def _as_written(value: Any) -> str:
+    words = {"True": "true", "False": "false", "None": "null"}
+    return (
+        repr(value)
+        if isinstance(value, str)
+        else re.sub("True|False|None", lambda m: words[m[0]], repr(value))
+    )
 
 
 def _like(model: Any, loc: tuple[int | str, ...]) -> str:
