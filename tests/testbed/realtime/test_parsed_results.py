@@ -1,9 +1,15 @@
 """What a program returns and what is read from the API's answer of it are the same."""
 
-import numpy as np
+import socket
+import threading
 
+import httpx
+import numpy as np
+import pytest
+
+from protocol.errors import LinkLost
 from testbed.demonstration.sequence import note_of
-from testbed.realtime.rest_rig import look_of
+from testbed.realtime.rest_rig import RestRig, answered, look_of
 from testbed.reporting.run_directory import warnings_in
 from vision_pc.application.results import (
     JudgedLook,
@@ -76,3 +82,58 @@ def test_what_events_ask_a_person_to_do_is_said_once() -> None:
         {"event": "fault", "what": "text"},
     ]
     assert warnings_in(events) == [str(doubted)]
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:99999", "http://127.0.0.1:0", "http://[::1", "http://h:x"])
+def test_an_address_that_is_none_is_asked_nothing(url: str) -> None:
+    """A port of 99999 was port 34463, which got the token."""
+    with pytest.raises(LinkLost, match=r"wanted http://HOST:PORT") as refused:
+        RestRig(url, b"token")
+    assert refused.value.cause == "link.rest"
+
+
+@pytest.mark.parametrize(
+    ("status", "content", "told"),
+    [
+        (200, b"<html>", "200 OK"),
+        (200, b"[1]", "200 OK"),
+        (200, b"[" * 100_000, "200 OK"),
+        (200, b'{"a": "\xff', "200 OK"),
+        (502, b"null", "502 Bad Gateway"),
+        (500, b'["x"]', "500 Internal Server Error"),
+        (301, b"", "301 Moved Permanently, which leads to https://other/"),
+    ],
+)
+def test_an_answer_of_somebody_else_is_told_as_one(status: int, content: bytes, told: str) -> None:
+    asked = httpx.Request("GET", "http://user:secret@host/state")
+    location = {"location": "https://other/"} if status == 301 else {}
+    with pytest.raises(LinkLost, match="something else than Longreach") as refused:
+        answered(httpx.Response(status, content=content, headers=location, request=asked))
+    assert refused.value.cause == f"rest.{status}"
+    assert f"http://host/state: {told}" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "said", "told"),
+    [
+        ("http", b"", "no whole answer in HTTP"),
+        ("http", b"SSH-2.0\r\n", "no whole answer in HTTP"),
+        ("http", b"HTTP/1.1 200 OK\r\nContent-Length: 9\r\n\r\n{", "no whole answer in HTTP"),
+        ("https", b"HTTP/1.1 400 Bad Request\r\n\r\n", "no TLS is spoken there"),
+    ],
+)
+def test_what_answers_in_another_protocol_is_told_in_our_words(scheme: str, said: bytes, told: str) -> None:
+    def answer() -> None:
+        with listener.accept()[0] as connection:
+            connection.recv(65_536)
+            connection.sendall(said)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        serving = threading.Thread(target=answer)
+        serving.start()
+        rig = RestRig(f"{scheme}://user:secret@127.0.0.1:{listener.getsockname()[1]}")
+        with pytest.raises(LinkLost, match=told) as refused:
+            rig.state()
+        serving.join()
+        rig.close()
+    assert "secret" not in str(refused.value)
