@@ -49,6 +49,8 @@ _WORDS = {
     "missing": "a value is wanted, there is none",
     "extra_forbidden": "no such key",
     "bool_type": "true or false is wanted",
+    "bool_parsing": "true or false is wanted",
+    "json_invalid": "from this character on it is no JSON: {error}",
     "int_type": "a number in decimal digits is wanted",
     "float_type": "a number in decimal digits is wanted",
     "int_from_float": "a whole number is wanted",
@@ -243,9 +245,15 @@ def fault_words(fault: Mapping[str, Any], why: str | None = None) -> str:
     if fault["type"] in _KEYED and why is None:
         not_json = isinstance(fault["input"], bytes)
         why = f"{_WANTS_KEYS}, with the header Content-Type: application/json" if not_json else _WANTS_KEYS
-    if why is None and (words := _WORDS.get(fault["type"])):
-        why = words.format(**fault.get("ctx", {}))
-    return f"{key}{value}: {why or re.sub('^(Value error, |Input (?=should))', '', fault['msg'])}"
+    return f"{key}{value}: {why or fault_reason(fault)}"
+
+
+def fault_reason(fault: Mapping[str, Any]) -> str:
+    """Why, of one of pydantic's errors, without place and value."""
+    words = _WORDS.get(fault["type"])
+    if words is not None:
+        return words.format(**fault.get("ctx", {}))
+    return re.sub("^(Value error, |Input (?=should))", "", str(fault["msg"]))
 
 
 def _as_written(value: Any) -> str:

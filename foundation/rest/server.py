@@ -14,9 +14,10 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.configuration import fault_words
+from foundation.configuration import fault_reason, fault_words
 from foundation.event_log import EventLog
 from foundation.rest.door import Door
 from foundation.rest.guard import Access, Guard
@@ -93,7 +94,7 @@ async def door(listener: socket.socket, at: str, access: Access, log: EventLog |
 
 def invalid_request(error: RequestValidationError) -> dict[str, Any]:
     """The problem of a request that does not fit its schema, with the first faults as ``faults``."""
-    faults = [{"at": list(each["loc"]), "why": each["msg"]} for each in error.errors()[:_FAULTS_SHOWN]]
+    faults = [{"at": list(each["loc"]), "why": fault_reason(each)} for each in error.errors()[:_FAULTS_SHOWN]]
     detail = fault_words(error.errors()[0])
     return problem(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, faults=faults)
 
@@ -118,7 +119,8 @@ def install_problems(
     @app.exception_handler(HTTPException)
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:
         cause = "request." + HTTPStatus(error.status_code).name.lower()
-        document = problem(error.status_code, cause, str(error.detail), instance=request.url.path)
+        detail = _http_words(request, error)
+        document = problem(error.status_code, cause, detail, instance=request.url.path)
         response = respond(advised(document, advise))
         response.headers.update(error.headers or {})
         return response
@@ -130,8 +132,26 @@ def install_problems(
         return respond(advised(document, advise))
 
 
+def _http_words(request: Request, error: HTTPException) -> str:
+    asked = f"{request.method} {request.url.path}"
+    coding, cause = request.headers.get("content-encoding"), error.__cause__
+    if error.status_code == HTTPStatus.NOT_FOUND:
+        return f"{asked}: nothing is at this path; /docs has all"
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        routes = [route for route in request.app.routes if route.matches(request.scope)[0] is Match.PARTIAL]
+        return f"{asked}: wanted is {' or '.join(sorted(set().union(*(route.methods for route in routes))))}"
+    if coding and isinstance(cause, ValueError):
+        return f"the body is coded as {coding}: send it as it is"
+    if isinstance(cause, UnicodeDecodeError):
+        return f"the body is not UTF-8 at byte {cause.start + 1}"
+    too_long = "the body is no JSON: a number has too many digits"
+    return too_long if isinstance(cause, ValueError) else str(error.detail)
+
+
 class OnceWritten:
-    """Refuses JSON that writes a member twice: which of the two counts is nowhere written."""
+    """Refuses JSON that writes a member twice: which of the two counts is nowhere written. Passes over a
+    slash behind a path.
+    """
 
     def __init__(self, app: ASGIApp, advise: Advise | None) -> None:
         self._app = app
@@ -151,7 +171,7 @@ class OnceWritten:
         async def received() -> Message:
             return messages.pop(0) if messages else await receive()
 
-        await self._app(scope, received, send)
+        await self._app(dict(scope) | {"path": scope["path"].rstrip("/") or "/"}, received, send)
 
 
 def _ambiguity(body: bytes) -> tuple[str, str] | None:
