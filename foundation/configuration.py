@@ -53,6 +53,8 @@ _WORDS = {
     "json_invalid": "from this character on it is no JSON: {error}",
     "int_type": "a number in decimal digits is wanted",
     "float_type": "a number in decimal digits is wanted",
+    "float_parsing": "a number in decimal digits is wanted",
+    "int_parsing": "a whole number in decimal digits is wanted",
     "int_from_float": "a whole number is wanted",
     "finite_number": "a finite number is wanted",
     "string_type": "text is wanted, in quotes where it looks like something else",
