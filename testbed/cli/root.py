@@ -49,7 +49,7 @@ class SharedCommand(_NamesItself, TyperCommand):
             self.params.insert(self.params.index(own[_DIRECTORY]) + 1, _shared_options()[0])
         self.params += [option for option in _shared_options()[1:] if option.name not in own]
         for parameter in self.params:
-            parameter.process_value = partial(_in_digits, parameter)
+            parameter.process_value = partial(_in_digits, parameter)  # type: ignore[method-assign]
 
 
 def _in_digits(option: Any, ctx: Any, value: Any) -> Any:
