@@ -15,7 +15,7 @@ from foundation.configuration import merged, validated
 from foundation.live import LiveSettings
 from foundation.live.wire import FEEDS_VARIABLE
 from foundation.recording.beginning import SESSION_VARIABLE
-from foundation.secret_source import read_secret
+from foundation.secret_source import read_secret, unbound_words
 from protocol.errors import ConfigurationError
 from testbed.choices import USUAL_TIMING, ClockKind, ControllerKind, Timing
 from testbed.realtime.child import Service
@@ -45,7 +45,7 @@ class PortUse(NamedTuple):
             try:
                 probe.bind((self.host, self.port))
             except OSError as error:
-                return f"{error.strerror}{holder(self.port, self.kind)}"
+                return f"{unbound_words(error, self.host)}{holder(self.port, self.kind)}"
         return ""
 
 
@@ -54,9 +54,9 @@ def check_ports(uses: Iterable[PortUse]) -> None:
     taken = [(use, why) for use in uses if (why := use.hindrance())]
     if taken:
         listed = "; ".join(f"{use.name} port {use.label} ({use.key}): {why}" for use, why in taken)
-        raise ConfigurationError(
-            "configuration.port_in_use", f"{listed}. End what holds it, or use --free-ports"
-        )
+        held = "held by" in listed or "in use" in listed
+        advice = ". End what holds it, or use --free-ports" if held else ""
+        raise ConfigurationError("configuration.port_in_use", listed + advice)
 
 
 def holder(port: int, kind: socket.SocketKind) -> str:
