@@ -32,47 +32,29 @@ BASE_FILE = "base.yaml"
 _MOST_LAYERS = 8
 _MOST_LEVELS = 64  # of YAML
 _SHOWN = 80  # characters of a value that is refused
-_KEYED = ("model_type", "model_attributes_type", "dict_type")
 _WANTS_KEYS = "keys with values are wanted"
-_PARSER_WORDS = {
+_PARSER_WORDS = {  # what libyaml says → what is wrong
     "cannot start any token": "nothing begins so: lines are set in by spaces, no tabs; such text is quoted",
     "mapping values": "a second colon in one line, or a line that is set in farther than the one above",
-    "expected ':'": "a key without the colon and space behind it",
-    "unexpected end": "a quote is not closed",
+    "expected ':'": "a key without the colon and space behind it", "unexpected end": "a quote is not closed",
     "did not find expected": "a line is set in otherwise than its neighbours, or lacks a comma or bracket",
-    "undefined alias": "no such anchor (&) above",
-    "unhashable key": "a key is one text",
+    "undefined alias": "no such anchor (&) above", "unhashable key": "a key is one text",
     "another document": "one document is wanted, and here begins another",
-}
-"""What libyaml says → what is wrong."""
-_WORDS = {
-    "missing": "a value is wanted, there is none",
-    "extra_forbidden": "no such key",
-    "bool_type": "true or false is wanted",
-    "bool_parsing": "true or false is wanted",
+}  # fmt: skip
+_WORDS = {  # pydantic's word for an error → our sentence; its own, where it does, begins otherwise
+    "missing": "a value is wanted, there is none", "extra_forbidden": "no such key",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false is wanted"),
+    **dict.fromkeys(("int_type", "float_type", "float_parsing"), "a number in decimal digits is wanted"),
+    **dict.fromkeys(("int_parsing", "int_from_float"), "a whole number in decimal digits is wanted"),
+    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), _WANTS_KEYS),
     "json_invalid": "from this character on it is no JSON: {error}",
-    "int_type": "a number in decimal digits is wanted",
-    "float_type": "a number in decimal digits is wanted",
-    "float_parsing": "a number in decimal digits is wanted",
-    "int_parsing": "a whole number in decimal digits is wanted",
-    "int_from_float": "a whole number is wanted",
-    "finite_number": "a finite number is wanted",
     "string_type": "text is wanted, in quotes where it looks like something else",
-    "path_type": "a path is wanted",
-    "tuple_type": "a list is wanted",
-    "too_long": "at most {max_length} items are wanted, not {actual_length}",
-    "too_short": "at least {min_length} items are wanted, not {actual_length}",
-    "string_too_long": "at most {max_length} characters are wanted",
-    "string_too_short": "characters are wanted, {min_length} at least",
-    "string_pattern_mismatch": "other characters are wanted: {pattern}",
+    "path_type": "a path is wanted", "tuple_type": "a list is wanted", "invalid_key": "a key is text",
     "union_tag_not_found": "the key {discriminator} is wanted",
     "union_tag_invalid": "{discriminator} = {tag!r} is none of {expected_tags}",
-    "invalid_key": "a key is text",
-}
-"""Pydantic's word for an error → our sentence; of others its own is cut to the limit."""
-_OF_SCHEMA = re.compile(
-    r"\[key\]|[a-z]+(-[a-z]+)*\[.*\)?, .*\]|function-.*"
-)  # parts of a place that no file has
+}  # fmt: skip
+_NOT_OURS = r"^(Value error, |(Input|String|Tuple|List) (?=should))| after validation"
+_OF_SCHEMA = r"\[key\]|[a-z]+(-[a-z]+)*\[.*\)?, .*\]|function-.*"  # parts of a place that no file has
 
 
 class StrictModel(BaseModel):
@@ -239,32 +221,24 @@ def fault_words(fault: Mapping[str, Any], why: str | None = None) -> str:
 
     A value that is missing or has keys of its own is not shown.
     """
-    places = [str(part) for part in fault["loc"] if not _OF_SCHEMA.fullmatch(str(part))]
-    key = ".".join(places) or "(whole file)"
+    key = ".".join(str(p) for p in fault["loc"] if not re.fullmatch(_OF_SCHEMA, str(p))) or "(whole file)"
     # A key written where only its place may be named must not reach a log on top of it.
     hidden = fault["type"] == "missing" or "link_key" in fault["loc"] or isinstance(fault["input"], Mapping)
     value = "" if hidden else f" = {_as_written(fault['input'])}"[:_SHOWN]
-    if fault["type"] in _KEYED and why is None:
-        not_json = isinstance(fault["input"], bytes)
-        why = f"{_WANTS_KEYS}, with the header Content-Type: application/json" if not_json else _WANTS_KEYS
-    return f"{key}{value}: {why or fault_reason(fault)}"
+    header = ", with the header Content-Type: application/json" if isinstance(fault["input"], bytes) else ""
+    return f"{key}{value}: {why or fault_reason(fault)}{header}"
 
 
 def fault_reason(fault: Mapping[str, Any]) -> str:
     """Why, of one of pydantic's errors, without place and value."""
     words = _WORDS.get(fault["type"])
-    if words is not None:
-        return words.format(**fault.get("ctx", {}))
-    return re.sub("^(Value error, |Input (?=should))", "", str(fault["msg"]))
+    return words.format(**fault.get("ctx", {})) if words else re.sub(_NOT_OURS, "", str(fault["msg"]))
 
 
 def _as_written(value: Any) -> str:
     words = {"True": "true", "False": "false", "None": "null"}
-    return (
-        repr(value)
-        if isinstance(value, str)
-        else re.sub("True|False|None", lambda m: words[m[0]], repr(value))
-    )
+    shown = repr(value)
+    return shown if isinstance(value, str) else re.sub("True|False|None", lambda m: words[m[0]], shown)
 
 
 def _like(model: Any, loc: tuple[int | str, ...]) -> str:

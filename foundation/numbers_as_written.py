@@ -50,21 +50,18 @@ class StrictLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
             seen.add(key)
         return super().construct_mapping(node, deep)
 
-    def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """The number of a scalar, tagged as one or not. Raises ConstructorError for another writing."""
+    def construct_plain(self, node: yaml.ScalarNode) -> int | float | bool:
+        """The number or truth value of a scalar, tagged as one or not. Raises ConstructorError for another
+        writing.
+        """
         text = str(self.construct_scalar(node))
         if _INTEGER.fullmatch(text):
             return int(text)
         if _REAL.fullmatch(text):
             return float(re.sub(r"\.(?=[in])", "", text.lower()))
-        raise ConstructorError(None, None, f"{text!r} is no number in decimal digits", node.start_mark)
-
-    def construct_flag(self, node: yaml.ScalarNode) -> bool:
-        """The truth value of a scalar. Raises ConstructorError."""
-        text = str(self.construct_scalar(node))
         if text.lower() in self.bool_values:
             return self.bool_values[text.lower()]
-        raise ConstructorError(None, None, f"{text!r} is neither true nor false", node.start_mark)
+        raise ConstructorError(None, None, f"{text!r} is no number in decimal digits", node.start_mark)
 
     def construct_other(self, node: yaml.Node) -> None:
         """Raises ConstructorError: what has this tag is not read."""
@@ -77,11 +74,11 @@ StrictLoader.yaml_implicit_resolvers = {
     for first, known in yaml.CSafeLoader.yaml_implicit_resolvers.items()
 }
 StrictLoader.yaml_constructors = {tag: yaml.CSafeLoader.yaml_constructors[tag] for tag in _KNOWN}
-StrictLoader.add_constructor(f"{_YAML}bool", StrictLoader.construct_flag)
+StrictLoader.add_constructor(f"{_YAML}bool", StrictLoader.construct_plain)
 StrictLoader.add_constructor(None, StrictLoader.construct_other)
 for _tag, _writing in zip(_TAGS, (_INTEGER, _REAL), strict=True):
     StrictLoader.add_implicit_resolver(_tag, re.compile(f"(?:{_writing.pattern})$"), list("-+.0123456789"))
-    StrictLoader.add_constructor(_tag, StrictLoader.construct_number)
+    StrictLoader.add_constructor(_tag, StrictLoader.construct_plain)
 
 
 def written_number(value: Any) -> float:

@@ -133,19 +133,15 @@ def install_problems(
 
 
 def _http_words(request: Request, error: HTTPException) -> str:
-    asked = f"{request.method} {request.url.path}"
-    coding, cause = request.headers.get("content-encoding"), error.__cause__
-    if error.status_code == HTTPStatus.NOT_FOUND:
-        return f"{asked}: nothing is at this path; /docs has all"
-    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-        routes = [route for route in request.app.routes if route.matches(request.scope)[0] is Match.PARTIAL]
-        return f"{asked}: wanted is {' or '.join(sorted(set().union(*(route.methods for route in routes))))}"
-    if coding and isinstance(cause, ValueError):
-        return f"the body is coded as {coding}: send it as it is"
-    if isinstance(cause, UnicodeDecodeError):
-        return f"the body is not UTF-8 at byte {cause.start + 1}"
-    too_long = "the body is no JSON: a number has too many digits"
-    return too_long if isinstance(cause, ValueError) else str(error.detail)
+    asked, routes = f"{request.method} {request.url.path}", request.app.routes
+    there = (route.methods for route in routes if route.matches(request.scope)[0] is Match.PARTIAL)
+    words = {
+        HTTPStatus.NOT_FOUND: f"{asked}: nothing is at this path; /docs has all",
+        HTTPStatus.METHOD_NOT_ALLOWED: f"{asked}: wanted is {' or '.join(sorted(set().union(*there)))}",
+    }
+    unread = "the body is no JSON: wanted are UTF-8, no Content-Encoding, and numbers of some digits"
+    own = unread if isinstance(error.__cause__, ValueError) else str(error.detail)
+    return words.get(HTTPStatus(error.status_code), own)
 
 
 class OnceWritten:
