@@ -196,9 +196,9 @@ def answered(response: httpx.Response) -> JSON:
     if isinstance(answer, dict):
         return answer
     leads = f", which leads to {response.headers['location']}" if response.has_redirect_location else ""
-    why = f"{response.status_code} {response.reason_phrase}{leads}, and no object of JSON"
-    where = _shown(response.request.url)
-    raise LinkLost(f"rest.{response.status_code}", f"{where}: {why}: something else than Longreach answers")
+    why = f"{response.reason_phrase}{leads}, and no object of JSON: something else than Longreach answers"
+    status, where = response.status_code, _shown(response.request.url)
+    raise LinkLost(f"rest.{status}", f"{where}: {status} {why}")
 
 
 def _shown(url: httpx.URL) -> str:
