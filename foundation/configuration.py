@@ -39,6 +39,7 @@ _PARSER_WORDS = {  # what libyaml says → what is wrong
     "expected ':'": "a key without the colon and space behind it", "unexpected end": "a quote is not closed",
     "did not find expected": "a line is set in otherwise than its neighbours, or lacks a comma or bracket",
     "undefined alias": "no such anchor (&) above", "unhashable key": "a key is one text",
+    "could not determine a constructor": "such a tag is not read here: leave it out",
     "another document": "one document is wanted, and here begins another",
 }  # fmt: skip
 _WORDS = {  # pydantic's word for an error → our sentence; its own, where it does, begins otherwise

@@ -23,7 +23,7 @@ _WRITTEN = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _SHOWN = 60  # characters of what is no number
 _YAML = "tag:yaml.org,2002:"
 _TAGS = (f"{_YAML}int", f"{_YAML}float")
-_KNOWN = (f"{_YAML}null", f"{_YAML}str", f"{_YAML}seq", f"{_YAML}map")
+_KNOWN = (None, f"{_YAML}null", f"{_YAML}str", f"{_YAML}seq", f"{_YAML}map")  # None: refuses all others
 _MOST_BITS = 64
 _EXACT = 2**53  # [D] IEEE 754: from there on a real number of binary64 is not each integer
 _NO_SCHEMAS = frozenset({"metadata", "default", "serialization", "expected"})  # of a core schema's keys
@@ -43,10 +43,8 @@ class StrictLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
             if not isinstance(key, Hashable):
                 break  # the parser refuses it
             if key in seen:
-                where = f"line {written.start_mark.line + 1}"
-                raise ConfigurationError(
-                    "configuration.duplicate_key", f"{where}: key '{key}' is written twice"
-                )
+                why = f"line {written.start_mark.line + 1}: key '{key}' is written twice"
+                raise ConfigurationError("configuration.duplicate_key", why)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -63,11 +61,6 @@ class StrictLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
             return self.bool_values[text.lower()]
         raise ConstructorError(None, None, f"{text!r} is no number in decimal digits", node.start_mark)
 
-    def construct_other(self, node: yaml.Node) -> None:
-        """Raises ConstructorError: what has this tag is not read."""
-        why = f"the tag '{node.tag.removeprefix(_YAML)}' is not known here: leave it out"
-        raise ConstructorError(None, None, why, node.start_mark)
-
 
 StrictLoader.yaml_implicit_resolvers = {
     first: [one for one in known if one[0] not in (*_TAGS, f"{_YAML}timestamp", f"{_YAML}value")]
@@ -75,7 +68,6 @@ StrictLoader.yaml_implicit_resolvers = {
 }
 StrictLoader.yaml_constructors = {tag: yaml.CSafeLoader.yaml_constructors[tag] for tag in _KNOWN}
 StrictLoader.add_constructor(f"{_YAML}bool", StrictLoader.construct_plain)
-StrictLoader.add_constructor(None, StrictLoader.construct_other)
 for _tag, _writing in zip(_TAGS, (_INTEGER, _REAL), strict=True):
     StrictLoader.add_implicit_resolver(_tag, re.compile(f"(?:{_writing.pattern})$"), list("-+.0123456789"))
     StrictLoader.add_constructor(_tag, StrictLoader.construct_plain)

@@ -33,8 +33,7 @@ class HolesQuery(BaseModel):
 def add_targets(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     """Adds making, listing, choosing and forgetting targets to ``app``."""
     _add_making(app, application, operations)
-    _add_all(app, application)
-    _add_one(app, application, operations)
+    _add_keeping(app, application, operations)
 
 
 def _add_making(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
@@ -63,7 +62,7 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
         return JSONResponse(document, HTTPStatus.CREATED, {"Location": f"/targets/{kept.id}"})
 
 
-def _add_all(app: FastAPI, application: VisionApplication) -> None:
+def _add_keeping(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     camera = application.camera
 
     @app.get("/targets", tags=["targets"], summary="All targets, and the holes of the newest picture")
@@ -74,10 +73,6 @@ def _add_all(app: FastAPI, application: VisionApplication) -> None:
             frame_id, found = await camera.detected_holes(asked.diameter_mm)
             document |= {"frame_id": frame_id, "holes": [hole_json(hole) for hole in found]}
         return document
-
-
-def _add_one(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
-    camera = application.camera
 
     @app.get("/targets/{target_id}", tags=["targets"], summary="One target")
     async def one(target_id: str) -> JSON:
