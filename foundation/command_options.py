@@ -6,6 +6,7 @@ Imported by every `--help`: nothing heavy may be.
 import dataclasses
 import inspect
 import io
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -33,8 +34,10 @@ def usual_configs() -> Path:
 def host_and_port(text: str, where: str) -> tuple[str, int]:
     """What HOST:PORT says; ``where`` it is written. Raises ConfigurationError."""
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
-        raise ConfigurationError("configuration.bad_value", f"{where} is not HOST:PORT")
+    written = re.fullmatch(r"\[[^][]+\]|[^][:\s/]+", host) and re.fullmatch("[0-9]{1,9}", port)
+    if not written or not 0 < int(port) < 1 << 16:
+        why = f"{where} is not HOST:PORT, nor [IPV6]:PORT, with a port from 1 to 65535"
+        raise ConfigurationError("configuration.bad_value", why)
     return host.strip("[]"), int(port)
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -31,8 +32,30 @@ BASE_FILE = "base.yaml"
 _MOST_LAYERS = 8
 _MOST_LEVELS = 64  # of YAML
 _SHOWN = 80  # characters of a value that is refused
-_KEYED = ("model_type", "model_attributes_type", "dict_type")
 _WANTS_KEYS = "keys with values are wanted"
+_PARSER_WORDS = {  # what libyaml says → what is wrong
+    "cannot start any token": "nothing begins so: lines are set in by spaces, no tabs; such text is quoted",
+    "mapping values": "a second colon in one line, or a line that is set in farther than the one above",
+    "expected ':'": "a key without the colon and space behind it", "unexpected end": "a quote is not closed",
+    "did not find expected": "a line is set in otherwise than its neighbours, or lacks a comma or bracket",
+    "undefined alias": "no such anchor (&) above", "unhashable key": "a key is one text",
+    "could not determine a constructor": "such a tag is not read here: leave it out",
+    "another document": "one document is wanted, and here begins another",
+}  # fmt: skip
+_WORDS = {  # pydantic's word for an error → our sentence; its own, where it does, begins otherwise
+    "missing": "a value is wanted, there is none", "extra_forbidden": "no such key",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false is wanted"),
+    **dict.fromkeys(("int_type", "float_type", "float_parsing"), "a number in decimal digits is wanted"),
+    **dict.fromkeys(("int_parsing", "int_from_float"), "a whole number in decimal digits is wanted"),
+    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), _WANTS_KEYS),
+    "json_invalid": "from this character on it is no JSON: {error}",
+    "string_type": "text is wanted, in quotes where it looks like something else",
+    "path_type": "a path is wanted", "tuple_type": "a list is wanted", "invalid_key": "a key is text",
+    "union_tag_not_found": "the key {discriminator} is wanted",
+    "union_tag_invalid": "{discriminator} = {tag!r} is none of {expected_tags}",
+}  # fmt: skip
+_NOT_OURS = r"^(Value error, |(Input|String|Tuple|List) (?=should))| after validation"
+_OF_SCHEMA = r"\[key\]|[a-z]+(-[a-z]+)*\[.*\)?, .*\]|function-.*"  # parts of a place that no file has
 
 
 class StrictModel(BaseModel):
@@ -86,14 +109,14 @@ def parse_mapping(text: str, where: str) -> dict[str, Any]:
     """
     data = parse_yaml(text, where)
     if not isinstance(data, dict):
-        found = "nothing is written" if data is None else f"not {data!r}"[:_SHOWN]
+        found = "nothing is written" if data is None else f"not {_as_written(data)}"[:_SHOWN]
         raise ConfigurationError("configuration.not_a_mapping", f"{where}: {_WANTS_KEYS}, {found}")
     return data
 
 
 def parse_yaml(text: str, where: str, loader: type[StrictLoader] = StrictLoader) -> Any:
-    """What YAML ``text`` holds; ``where`` names its origin. Raises ConfigurationError, also for a value that
-    no type of Python takes (a 13th month), and for more than 64 levels, which would break the parser itself.
+    """What YAML ``text`` holds; ``where`` names its origin. Raises ConfigurationError, also for more than 64
+    levels, which would break the parser itself.
     """
     try:
         depth = 0
@@ -102,11 +125,20 @@ def parse_yaml(text: str, where: str, loader: type[StrictLoader] = StrictLoader)
             if depth > _MOST_LEVELS:
                 raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels: {event.start_mark}")
         return yaml.load(text, Loader=loader)
-    except (yaml.YAMLError, ValueError) as error:
-        why = " ".join(str(error).replace(' in "<unicode string>",', " at").split())
-        raise ConfigurationError("configuration.not_yaml", f"{where}: {why}") from error
+    except yaml.YAMLError as error:
+        raise ConfigurationError("configuration.not_yaml", f"{where}: {_misspelt(error)}") from error
     except ConfigurationError as error:
         raise ConfigurationError(error.cause, f"{where}: {error}") from error
+
+
+def _misspelt(error: yaml.YAMLError) -> str:
+    """Where and why a text is no YAML, in words of ours where the parser's say little."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return " ".join(str(error).replace(' in "<unicode string>",', " at").split())
+    at, begun, said = error.problem_mark, error.context_mark, error.problem or ""
+    why = next((ours for its, ours in _PARSER_WORDS.items() if its in said), said)
+    from_line = "" if begun is None or begun.line == at.line else f", in what begins in line {begun.line + 1}"
+    return f"line {at.line + 1}, column {at.column + 1}{from_line}: {why}"
 
 
 def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,18 +218,28 @@ def validated(
 
 
 def fault_words(fault: Mapping[str, Any], why: str | None = None) -> str:
-    """``key = value: why`` of one of pydantic's errors, in its words unless ``why`` has better ones.
+    """``key = value: why`` of one of pydantic's errors; ``why``: where somebody knows it better.
 
     A value that is missing or has keys of its own is not shown.
     """
-    key = ".".join(map(str, fault["loc"])) or "(whole file)"
+    key = ".".join(str(p) for p in fault["loc"] if not re.fullmatch(_OF_SCHEMA, str(p))) or "(whole file)"
     # A key written where only its place may be named must not reach a log on top of it.
     hidden = fault["type"] == "missing" or "link_key" in fault["loc"] or isinstance(fault["input"], Mapping)
-    value = "" if hidden else f" = {fault['input']!r}"[:_SHOWN]
-    if fault["type"] in _KEYED and why is None:
-        not_json = isinstance(fault["input"], bytes)
-        why = f"{_WANTS_KEYS}, with the header Content-Type: application/json" if not_json else _WANTS_KEYS
-    return f"{key}{value}: {why or fault['msg'].removeprefix('Value error, ')}"
+    value = "" if hidden else f" = {_as_written(fault['input'])}"[:_SHOWN]
+    header = ", with the header Content-Type: application/json" if isinstance(fault["input"], bytes) else ""
+    return f"{key}{value}: {why or fault_reason(fault)}{header}"
+
+
+def fault_reason(fault: Mapping[str, Any]) -> str:
+    """Why, of one of pydantic's errors, without place and value."""
+    words = _WORDS.get(fault["type"])
+    return words.format(**fault.get("ctx", {})) if words else re.sub(_NOT_OURS, "", str(fault["msg"]))
+
+
+def _as_written(value: Any) -> str:
+    words = {"True": "true", "False": "false", "None": "null"}
+    shown = repr(value)
+    return shown if isinstance(value, str) else re.sub("True|False|None", lambda m: words[m[0]], shown)
 
 
 def _like(model: Any, loc: tuple[int | str, ...]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 from pydantic_core import PydanticCustomError, core_schema
+from yaml.constructor import ConstructorError
 
 from protocol.errors import ConfigurationError
 
@@ -20,48 +21,56 @@ _REAL = re.compile(
 )
 _WRITTEN = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _SHOWN = 60  # characters of what is no number
-_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_YAML = "tag:yaml.org,2002:"
+_TAGS = (f"{_YAML}int", f"{_YAML}float")
+_KNOWN = (None, f"{_YAML}null", f"{_YAML}str", f"{_YAML}seq", f"{_YAML}map")  # None: refuses all others
 _MOST_BITS = 64
 _EXACT = 2**53  # [D] IEEE 754: from there on a real number of binary64 is not each integer
 _NO_SCHEMAS = frozenset({"metadata", "default", "serialization", "expected"})  # of a core schema's keys
 
 
 class StrictLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
-    """Safe YAML with numbers in decimal digits alone, other writings are text; a key that is written twice is
-    an error instead of a silent override.
+    """Safe YAML with numbers in decimal digits alone; other writings, and dates, are text. Of tags those of
+    JSON's types are known. A key that is written twice is an error instead of a silent override.
     """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
         for written, _ in node.value:
+            if written.tag == f"{_YAML}merge":
+                continue  # of keys that are merged in, the mapping's own take the place
             key = self.construct_object(written, deep=True)
             if not isinstance(key, Hashable):
                 break  # the parser refuses it
             if key in seen:
-                where = f"line {node.start_mark.line + 1}"
-                raise ConfigurationError(
-                    "configuration.duplicate_key", f"{where}: key '{key}' is written twice"
-                )
+                why = f"line {written.start_mark.line + 1}: key '{key}' is written twice"
+                raise ConfigurationError("configuration.duplicate_key", why)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
-    def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """The number of a scalar, tagged as one or not. Raises ValueError for another writing."""
+    def construct_plain(self, node: yaml.ScalarNode) -> int | float | bool:
+        """The number or truth value of a scalar, tagged as one or not. Raises ConstructorError for another
+        writing.
+        """
         text = str(self.construct_scalar(node))
         if _INTEGER.fullmatch(text):
             return int(text)
         if _REAL.fullmatch(text):
             return float(re.sub(r"\.(?=[in])", "", text.lower()))
-        raise ValueError(f"{text!r} is no number in decimal digits")
+        if text.lower() in self.bool_values:
+            return self.bool_values[text.lower()]
+        raise ConstructorError(None, None, f"{text!r} is no number in decimal digits", node.start_mark)
 
 
 StrictLoader.yaml_implicit_resolvers = {
-    first: [one for one in known if one[0] not in _TAGS]
+    first: [one for one in known if one[0] not in (*_TAGS, f"{_YAML}timestamp", f"{_YAML}value")]
     for first, known in yaml.CSafeLoader.yaml_implicit_resolvers.items()
 }
+StrictLoader.yaml_constructors = {tag: yaml.CSafeLoader.yaml_constructors[tag] for tag in _KNOWN}
+StrictLoader.add_constructor(f"{_YAML}bool", StrictLoader.construct_plain)
 for _tag, _writing in zip(_TAGS, (_INTEGER, _REAL), strict=True):
     StrictLoader.add_implicit_resolver(_tag, re.compile(f"(?:{_writing.pattern})$"), list("-+.0123456789"))
-    StrictLoader.add_constructor(_tag, StrictLoader.construct_number)
+    StrictLoader.add_constructor(_tag, StrictLoader.construct_plain)
 
 
 def written_number(value: Any) -> float:

@@ -40,7 +40,9 @@ def _bind_socket(kind: socket.SocketKind, host: str, port: int, key: str) -> soc
     except OSError as error:
         sock.close()
         cause = "configuration.port_busy" if error.errno == errno.EADDRINUSE else "configuration.bad_address"
-        raise ConfigurationError(cause, f"{key} = {host}:{port}: {error.strerror}") from error
+        v6 = isinstance(error, socket.gaierror) and ":" in host
+        why = "an address of IPv4, or a name that has one, is wanted" if v6 else error.strerror
+        raise ConfigurationError(cause, f"{key} = {host}:{port}: {why}") from error
     return sock
 
 

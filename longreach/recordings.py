@@ -94,20 +94,18 @@ def read(path: Path | str, topics: Collection[str] | None = None) -> ReadRecordi
         for channel, topic in found.topics.items()
         if (topics is None or topic.name in topics) and (decode := decoder(topic.format)) is not None
     }
-    rows: dict[int, list[dict[str, Any]]] = {channel: [] for channel in decoders}
-    times: dict[int, list[int]] = {channel: [] for channel in decoders}
+    # By topic: in a file that was merged one has several channels.
+    rows: dict[str, list[dict[str, Any]]] = {names[channel]: [] for channel in decoders}
+    times: dict[str, list[int]] = {name: [] for name in rows}
     with source.open("rb") as stream:
         for record in walk(stream):
             if isinstance(record, Message) and record.channel_id in decoders:
-                rows[record.channel_id].append(decoders[record.channel_id](record.data))
-                times[record.channel_id].append(record.log_time)
-    return ReadRecording(
-        {
-            names[channel]: RecordedTopic(np.array(times[channel], dtype=np.int64), _columns(rows[channel]))
-            for channel in decoders
-        },
-        found,
-    )
+                rows[names[record.channel_id]].append(decoders[record.channel_id](record.data))
+                times[names[record.channel_id]].append(record.log_time)
+    topics_read = {
+        name: RecordedTopic(np.array(times[name], np.int64), _columns(rows[name])) for name in rows
+    }
+    return ReadRecording(topics_read, found)
 
 
 def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
@@ -121,6 +119,9 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
         else:
             lists.setdefault(parts[1], []).append((int(parts[2]), values))
     for name, places in lists.items():
+        if name in columns:  # a number in one message, a list in another
+            columns |= {f"{name}[{number}]": values for number, values in places}
+            continue
         stacked = np.stack([values for _, values in sorted(places, key=lambda place: place[0])], axis=1)
         pose = name.rpartition(".")[2].startswith("X_") and stacked.shape[1] == 16
         columns[name] = stacked.reshape(-1, 4, 4) if pose else stacked
@@ -129,7 +130,8 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
 
 def _column(values: Sequence[Any]) -> NDArray[Any]:
     there = [value for value in values if value is not None]
-    if all(isinstance(value, (bool, int, float)) for value in there):
+    truths = sum(isinstance(value, bool) for value in there)
+    if all(isinstance(value, (int, float)) for value in there) and truths in (0, len(there)):
         if len(there) < len(values):
             return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
         return np.array(values)

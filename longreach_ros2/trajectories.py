@@ -18,6 +18,7 @@ START_RAD = 0.01  # [D] of where the joints are commanded to be: as far as a fir
 AT_REST_RAD_S = 1e-3  # [D] the last point's speed, below which it is rest
 _STEP_S = 0.02  # the period of the references: what a path of a single point takes
 _ROUNDING = 1e-6
+_MOST = 1e6  # [D] rad, rad/s, rad/s²: what is computed of such numbers is finite, so that limits catch it
 _NOTHING = 1e-12  # [D] of a segment's largest coefficient: what rounding leaves of a cubic among quintics
 _NO_LIMIT = -1.0  # of a JointTolerance
 _JOINTS = len(JOINT_NAMES)
@@ -106,13 +107,16 @@ def joint_order(names: Iterable[str]) -> list[int]:
 def tolerances(given: Iterable[Any], usual: float) -> Array:
     """(6,) rad of ``control_msgs/JointTolerance``: 0 means ``usual``, −1 none (infinite).
 
-    Raises RequestRefused for another joint, for another negative value or one that is not finite, and for a
-    tolerance of speed or acceleration: neither is judged.
+    Raises RequestRefused for another joint, one twice, another negative value or one that is not finite, and
+    for a tolerance of speed or acceleration: neither is judged.
     """
     found = dict.fromkeys(JOINT_NAMES, usual)
+    left = set(JOINT_NAMES)
     for one in given:
-        if one.name not in found:
-            raise refused("joints", f"tolerance of joint {one.name!r}, this arm has {', '.join(JOINT_NAMES)}")
+        if one.name not in left:
+            known = "named twice" if one.name in found else f"this arm has {', '.join(JOINT_NAMES)}"
+            raise refused("joints", f"tolerance of joint {one.name!r}, {known}")
+        left.remove(one.name)
         for what in ("velocity", "acceleration"):
             if math.isfinite(tolerance(f"{one.name}, {what}", getattr(one, what), math.inf)):
                 raise refused("tolerance", f"{one.name}: tolerances of {what} are not judged")
@@ -165,8 +169,9 @@ def _rows(number: int, point: Any, order: list[int]) -> list[Array]:
             continue
         if len(values) != _JOINTS:
             raise refused("points", f"point {number} has {len(values)} {name}, this arm has {_JOINTS} joints")
-        if not np.all(np.isfinite(values)):
-            raise refused("not_finite", f"point {number}: {name} {values.tolist()} are not all finite")
+        if not np.all(np.abs(values) <= _MOST):
+            words = f"point {number}: {name} {values.tolist()} are not all finite, {_MOST:g} at most"
+            raise refused("not_finite", words)
         rows.append(values[order])
     return rows
 

@@ -1,6 +1,5 @@
 """Messages of a recording as plain numbers, by the schemas that the file itself carries."""
 
-import json
 import struct
 from collections.abc import Callable, Container, Iterator, Mapping
 from io import BytesIO
@@ -16,6 +15,7 @@ from mcap.records import Channel, Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
+from foundation.foreign_text import parse_json
 from foundation.recording.mcap_file import Format
 from protocol.errors import LongreachError
 
@@ -32,7 +32,7 @@ def decoder(form: Format) -> Callable[[bytes], Values] | None:
     message does not have is left out.
     """
     if form.message_encoding == "json":
-        return lambda data: dict(_plain("", json.loads(data)))
+        return lambda data: dict(_plain("", _json(form, data)))
     if form.message_encoding != "protobuf" or form.schema_encoding != "protobuf":
         return None
     try:
@@ -47,6 +47,14 @@ def decoder(form: Format) -> Callable[[bytes], Values] | None:
             raise UndecodableMessage("recording.undecodable", f"{form.schema}: {error}") from error
 
     return decode
+
+
+def _json(form: Format, data: bytes) -> Any:
+    try:
+        return parse_json(data.decode())
+    except ValueError as error:
+        why = f"{form.schema}: {data[:40]!r} is no JSON in UTF-8"
+        raise UndecodableMessage("recording.undecodable", why) from error
 
 
 def class_in(form: Format) -> Any:

@@ -257,7 +257,7 @@ class DoorConnection(asyncio.Protocol):
     def _admitted(self, head: Head | None) -> Head | None:
         """The head of a request whose body is wanted, a stop's as its path is written here; None: no further.
 
-        Raises RequestUnreadable for a body that is too large.
+        Raises RequestUnreadable for a body that is too large, or that has no end.
         """
         if head is None:
             return None
@@ -270,7 +270,11 @@ class DoorConnection(asyncio.Protocol):
             self._answered(head.keeps)
         elif stop is not None and head.method == "POST":
             self._stopping = None if self._door.stops is None else self._door.stops.begin(stop)
-            return head._replace(target=stop)
+            if head.endless is None or self._stopping is not None:
+                return head._replace(target=stop)
+            raise head.endless
+        elif head.endless is not None:
+            raise head.endless
         elif head.length > MOST_BODY_BYTES:
             why = f"a body of {head.length} bytes, at most {MOST_BODY_BYTES}"
             raise RequestUnreadable(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "request.too_large", why)

@@ -7,6 +7,7 @@ answered 411, as section 6.3 allows, because each of a chunk's bytes would have 
 
 import json
 import re
+import sys
 from http import HTTPStatus
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
@@ -37,7 +38,8 @@ class Head(NamedTuple):
     """A request but for its body. ``fields``: names in lower case, values, in their order.
 
     ``target``: of this service, in origin form (``/path?query``), as it was sent. ``length``: bytes of the
-    body. ``minor``: of the version of HTTP.
+    body. ``minor``: of the version of HTTP. ``endless``: why nobody knows where its body ends: what is not
+    done without it is refused so.
     """
 
     method: str
@@ -45,6 +47,7 @@ class Head(NamedTuple):
     fields: Fields
     length: int
     minor: int
+    endless: RequestUnreadable | None = None
 
     @property
     def path(self) -> str:
@@ -80,18 +83,18 @@ class Head(NamedTuple):
 
 
 def spelling(target: str) -> str:
-    """A target as whoever is in a hurry means it: one slash before each part, none behind, small letters.
+    """A target as whoever is in a hurry means it: small letters and digits, one slash before each part.
 
-    Without host and query; an underscore is a hyphen.
+    Without host and query; blanks, dots, hyphens and underscores between and behind words go.
     """
-    path = unquote(re.sub(r"^[A-Za-z]+://[^/?#]*|[?#].*", "", target)).lower().replace("_", "-")
-    return "/" + "/".join(part for part in path.split("/") if part not in ("", "."))
+    path = re.sub(r"[\s._-]+", "", unquote(re.sub(r"^[A-Za-z]+://[^/?#]*|[?#;].*", "", target)).lower())
+    return "/" + "/".join(filter(None, path.split("/")))
 
 
 def take_head(received: bytearray) -> Head | None:
     """The head at the beginning of ``received``, which is taken off it; None where it is not whole yet.
 
-    Raises RequestUnreadable.
+    Raises RequestUnreadable, but for a length that is doubtful (``endless``).
     """
     while received.startswith(b"\r\n"):  # RFC 9112, section 2.2
         del received[:2]
@@ -109,12 +112,15 @@ def take_head(received: bytearray) -> Head | None:
     if len(lines) > MOST_FIELDS:
         raise _malformed(f"{len(lines)} fields, at most {MOST_FIELDS}")
     fields = tuple(_field(each) for each in lines)
-    length = _length(fields)
+    try:
+        length, endless = _length(fields), None
+    except RequestUnreadable as doubtful:
+        length, endless = sys.maxsize, doubtful
     if sum(name == b"host" for name, _ in fields) > 1:
         raise _malformed("two Host fields")
     target, fields = _own_target(match[2].decode("ascii"), fields)
     del received[: end + 4]
-    return Head(match[1].decode("ascii"), target, fields, length, int(match[3]))
+    return Head(match[1].decode("ascii"), target, fields, length, int(match[3]), endless)
 
 
 def take_body(received: bytearray, length: int) -> bytes | None:

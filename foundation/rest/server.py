@@ -14,9 +14,10 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.configuration import fault_words
+from foundation.configuration import fault_reason, fault_words
 from foundation.event_log import EventLog
 from foundation.rest.door import Door
 from foundation.rest.guard import Access, Guard
@@ -93,7 +94,7 @@ async def door(listener: socket.socket, at: str, access: Access, log: EventLog |
 
 def invalid_request(error: RequestValidationError) -> dict[str, Any]:
     """The problem of a request that does not fit its schema, with the first faults as ``faults``."""
-    faults = [{"at": list(each["loc"]), "why": each["msg"]} for each in error.errors()[:_FAULTS_SHOWN]]
+    faults = [{"at": list(each["loc"]), "why": fault_reason(each)} for each in error.errors()[:_FAULTS_SHOWN]]
     detail = fault_words(error.errors()[0])
     return problem(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, faults=faults)
 
@@ -118,7 +119,8 @@ def install_problems(
     @app.exception_handler(HTTPException)
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:
         cause = "request." + HTTPStatus(error.status_code).name.lower()
-        document = problem(error.status_code, cause, str(error.detail), instance=request.url.path)
+        detail = _http_words(request, error)
+        document = problem(error.status_code, cause, detail, instance=request.url.path)
         response = respond(advised(document, advise))
         response.headers.update(error.headers or {})
         return response
@@ -130,8 +132,22 @@ def install_problems(
         return respond(advised(document, advise))
 
 
+def _http_words(request: Request, error: HTTPException) -> str:
+    asked, routes = f"{request.method} {request.url.path}", request.app.routes
+    there = (route.methods for route in routes if route.matches(request.scope)[0] is Match.PARTIAL)
+    words = {
+        HTTPStatus.NOT_FOUND: f"{asked}: nothing is at this path; /docs has all",
+        HTTPStatus.METHOD_NOT_ALLOWED: f"{asked}: wanted is {' or '.join(sorted(set().union(*there)))}",
+    }
+    unread = "the body is no JSON: wanted are UTF-8, no Content-Encoding, numbers of at most 4300 digits"
+    own = unread if isinstance(error.__cause__, ValueError) else str(error.detail)
+    return words.get(HTTPStatus(error.status_code), own)
+
+
 class OnceWritten:
-    """Refuses JSON that writes a member twice: which of the two counts is nowhere written."""
+    """Refuses JSON that writes a member twice: which of the two counts is nowhere written. Passes over a
+    slash behind a path.
+    """
 
     def __init__(self, app: ASGIApp, advise: Advise | None) -> None:
         self._app = app
@@ -151,7 +167,7 @@ class OnceWritten:
         async def received() -> Message:
             return messages.pop(0) if messages else await receive()
 
-        await self._app(scope, received, send)
+        await self._app(dict(scope) | {"path": scope["path"].rstrip("/") or "/"}, received, send)
 
 
 def _ambiguity(body: bytes) -> tuple[str, str] | None:

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,6 +48,23 @@ class SharedCommand(_NamesItself, TyperCommand):
             own[_DIRECTORY].is_eager = True  # read first, so that the arm's takes its place
             self.params.insert(self.params.index(own[_DIRECTORY]) + 1, _shared_options()[0])
         self.params += [option for option in _shared_options()[1:] if option.name not in own]
+        for parameter in self.params:
+            parameter.process_value = partial(_in_digits, parameter)  # type: ignore[method-assign]
+
+
+def _in_digits(option: Any, ctx: Any, value: Any) -> Any:
+    """What an option's word means: a number in decimal digits alone, though the interpreter reads 1_0 too."""
+    made = type(option).process_value(option, ctx, value)
+    numbers, words = (one if isinstance(one, list | tuple) else (one,) for one in (made, value))
+    if any(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers or ()):
+        from foundation.numbers_as_written import written_number
+
+        try:
+            for word in words:
+                written_number(word)
+        except ValueError as error:
+            raise typer.BadParameter(str(error), ctx, option) from error
+    return made
 
 
 class CommandGroup(_NamesItself, TyperGroup):
@@ -207,8 +224,11 @@ def _in_words(error: TyperException) -> str:
     message = error.message if close else " ".join(error.format_message().split()).rstrip(".")
     why: Any = error.__cause__
     if hasattr(why, "errors"):  # pydantic's, which has the value
-        given = why.errors()[0]["input"]
-        message = message.replace(": Value error, ", ": ").replace(": Input should", f" = {given}: should")
+        from foundation.configuration import fault_reason
+
+        fault = why.errors()[0]
+        given = "" if fault["type"] == "value_error" else f" = {fault['input']}"
+        message = f"{message.partition(': ')[0]}{given}: {fault_reason(fault)}".rstrip(".")
     message = re.sub(r"\. Did you mean (.*)\?$", r"; did you mean \1?", message)
     return f"{message}; did you mean {' or '.join(close)}?" if close else message
 

@@ -5,8 +5,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import httpx
-
 from controller.core.scan_program import own_parts
 from controller_st.parts import text_parts
 from foundation.secret_source import read_secret
@@ -27,7 +25,7 @@ from testbed.lockstep.clock import RunLog
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.world import VISION_CLOCK_NS
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
-from testbed.realtime.rest_rig import RestRig, bearer, error_of
+from testbed.realtime.rest_rig import RestRig, answered, error_of, rest_client
 from testbed.realtime.supervisor import Supervisor
 from testbed.realtime.up import end_on_sigterm, show_addresses, started
 from testbed.recordings.plant_truth import read_truth
@@ -106,11 +104,11 @@ def _break(launch: Launch, orders: Sequence[FaultOrder]) -> None:
     face = launch.settings.plant_service.fault_face
     token = read_secret(face.tokens.operate, "operate token")
     url = f"http://{face.host}:{face.port}"
-    with httpx.Client(base_url=url, headers=bearer(token), trust_env=False) as client:
+    with rest_client(url, token) as client:
         for order in orders:
             answer = client.post("/faults", json=order.model_dump(mode="json"))
             if not answer.is_success:
-                raise error_of(answer.json())
+                raise error_of(answered(answer))
 
 
 def judged(

@@ -15,7 +15,7 @@ from foundation.configuration import merged, validated
 from foundation.live import LiveSettings
 from foundation.live.wire import FEEDS_VARIABLE
 from foundation.recording.beginning import SESSION_VARIABLE
-from foundation.secret_source import read_secret
+from foundation.secret_source import bound_tcp, bound_udp, read_secret
 from protocol.errors import ConfigurationError
 from testbed.choices import USUAL_TIMING, ClockKind, ControllerKind, Timing
 from testbed.realtime.child import Service
@@ -32,31 +32,22 @@ class PortUse(NamedTuple):
     kind: socket.SocketKind
     key: str
 
-    @property
-    def label(self) -> str:
-        """Host, port and transport."""
-        return f"{self.host}:{self.port}/{'tcp' if self.kind == socket.SOCK_STREAM else 'udp'}"
-
     def hindrance(self) -> str:
         """Why the port cannot be served; empty where it can."""
-        with socket.socket(socket.AF_INET, self.kind) as probe:
-            if self.kind == socket.SOCK_STREAM:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((self.host, self.port))
-            except OSError as error:
-                return f"{error.strerror}{holder(self.port, self.kind)}"
+        bind = bound_tcp if self.kind == socket.SOCK_STREAM else bound_udp
+        try:
+            bind(self.host, self.port, self.key).close()
+        except ConfigurationError as error:
+            return f"{self.name} port {error}{holder(self.port, self.kind)}"
         return ""
 
 
 def check_ports(uses: Iterable[PortUse]) -> None:
     """Return when every port is free. Raises ConfigurationError that names those that are not."""
-    taken = [(use, why) for use in uses if (why := use.hindrance())]
+    taken = "; ".join(filter(None, (use.hindrance() for use in uses)))
     if taken:
-        listed = "; ".join(f"{use.name} port {use.label} ({use.key}): {why}" for use, why in taken)
-        raise ConfigurationError(
-            "configuration.port_in_use", f"{listed}. End what holds it, or use --free-ports"
-        )
+        advice = ". End what holds it, or use --free-ports" if "in use" in taken else ""
+        raise ConfigurationError("configuration.port_in_use", taken + advice)
 
 
 def holder(port: int, kind: socket.SocketKind) -> str:
@@ -64,7 +55,7 @@ def holder(port: int, kind: socket.SocketKind) -> str:
     for use in psutil.net_connections("tcp" if kind == socket.SOCK_STREAM else "udp"):
         if use.pid and use.laddr and use.laddr.port == port and not use.raddr:
             with contextlib.suppress(psutil.Error):  # it has ended, or is somebody else's
-                command = " ".join(psutil.Process(use.pid).cmdline())
+                command = " ".join(" ".join(psutil.Process(use.pid).cmdline()).split())
                 return f", held by process {use.pid} ({command[:80]})"
     return ""
 

@@ -1,6 +1,7 @@
 """A rig behind the REST API: its operations, and looks as the type of the programs."""
 
 import math
+import re
 import time
 import uuid
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import httpx
 import numpy as np
 
+from foundation.foreign_text import parse_json
 from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
 from protocol.pose import Pose
 from testbed.reporting.console import Bar
@@ -98,11 +100,7 @@ class RestRig:
     """
 
     def __init__(self, url: str, token: bytes | None = None) -> None:
-        self._client = (
-            httpx.Client(  # the token is for the service alone, whatever proxy the environment names
-                base_url=url, timeout=_TIMEOUT_S, headers=bearer(token), trust_env=False
-            )
-        )
+        self._client = rest_client(url, token)
 
     def close(self) -> None:
         """Close the connection."""
@@ -160,27 +158,61 @@ class RestRig:
                 return
 
     def _ask(self, method: str, path: str, **request: Any) -> JSON:
-        answer: JSON = self._response(method, path, **request).json()
-        return answer
+        return answered(self._response(method, path, **request))
 
     def _response(self, method: str, path: str, **request: Any) -> httpx.Response:
+        asked = self._client.build_request(method, path, **request)
         try:
-            response = self._client.request(method, path, **request)
+            response = self._client.send(asked)
         except httpx.HTTPError as error:
-            why = f"{method} {self._client.base_url}{path}: {error}; `longreach up` starts the three services"
+            why = f"{method} {_shown(asked.url)}: {_trouble(error)}; `longreach up` starts the three services"
             raise LinkLost("link.rest", why) from error
-        if response.is_success:
-            return response
-        try:
-            problem = response.json()
-        except ValueError:
-            problem = {"cause": f"rest.{response.status_code}", "detail": response.reason_phrase}
-        raise error_of(problem)
+        if not response.is_success:
+            raise error_of(answered(response))
+        return response
 
 
-def bearer(token: bytes | None) -> dict[str, str]:
-    """The header that presents ``token``; none without."""
-    return {} if token is None else {"Authorization": f"Bearer {token.hex()}"}
+def rest_client(url: str, token: bytes | None) -> httpx.Client:
+    """Of the service at ``url``: the token is for it alone, whatever proxy the environment names.
+
+    Raises LinkLost (``link.rest``) for an address that is none.
+    """
+    presents = {} if token is None else {"Authorization": f"Bearer {token.hex()}"}
+    try:
+        address = httpx.URL(url)
+        if address.port is not None and not 0 < address.port < 1 << 16:
+            raise httpx.InvalidURL(f"port {address.port} is not within 1…65535")
+        return httpx.Client(base_url=address, timeout=_TIMEOUT_S, headers=presents, trust_env=False)
+    except httpx.InvalidURL as error:
+        raise LinkLost("link.rest", f"{url!r}: {error}; wanted http://HOST:PORT") from error
+
+
+def answered(response: httpx.Response) -> JSON:
+    """The object that a service of ours answers with. Raises LinkLost where somebody else answers."""
+    try:
+        answer = parse_json(response.text)
+    except ValueError:
+        answer = None
+    if isinstance(answer, dict):
+        return answer
+    leads = f", which leads to {response.headers['location']}" if response.has_redirect_location else ""
+    why = f"{response.reason_phrase}{leads}, and no object of JSON: something else than Longreach answers"
+    status, where = response.status_code, _shown(response.request.url)
+    raise LinkLost(f"rest.{status}", f"{where}: {status} {why}")
+
+
+def _shown(url: httpx.URL) -> str:
+    """Without a password."""
+    return str(url.copy_with(username=None, password=None))
+
+
+def _trouble(error: httpx.HTTPError) -> str:
+    said = re.sub(r"^\[Errno -?\d+\] | \(_ssl.*", "", str(error)).rstrip(".")
+    if "WRONG_VERSION" in said or "UNEXPECTED_EOF" in said:
+        return "no TLS is spoken there; http:// is wanted"
+    if isinstance(error, httpx.RemoteProtocolError):
+        return "no whole answer in HTTP came; it has ended, or speaks another protocol, such as https://"
+    return said
 
 
 def error_of(problem: JSON) -> LongreachError:

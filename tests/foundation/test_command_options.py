@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 import typer
 from typer.testing import CliRunner
 
-from foundation.command_options import unfolded
+from foundation.command_options import host_and_port, unfolded
 
 
 class Place(NamedTuple):
@@ -32,3 +32,8 @@ def test_each_field_is_an_option_with_its_limits_and_default() -> None:
     assert called == [(Place(5), Spoiled(0.5), 3)]
     for wrong in (["--port", "0"], ["--port", "5", "--loss", "2"], []):
         assert CliRunner().invoke(app, wrong).exit_code == 2
+
+
+def test_an_address_of_ipv6_stands_in_brackets() -> None:
+    assert host_and_port("[fe80::1%eth0]:47000", "here") == ("fe80::1%eth0", 47000)
+    assert host_and_port("plc_2.cell:502", "here") == ("plc_2.cell", 502)

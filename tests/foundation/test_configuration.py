@@ -1,5 +1,6 @@
 """Overrides from the command line, and the hash by which both sides know the arm."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -85,11 +86,61 @@ def test_assignments_that_contradict_each_other_are_refused(assignments: tuple[s
     ],
 )
 def test_each_fault_of_a_file_has_its_cause(tmp_path: Path, text: str, cause: str) -> None:
-    (tmp_path / "arm.yaml").write_text(text)
+    refused_for(tmp_path, text, cause)
+
+
+def refused_for(directory: Path, text: str, cause: str) -> str:
+    """How the arm's file is refused: in no word of a parser, schema or interpreter."""
+    (directory / "arm.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigurationError) as caught:
-        load(Arm, tmp_path / "arm.yaml")
+        load(Arm, directory / "arm.yaml")
     assert caught.value.cause == cause
-    assert "\n" not in str(caught.value)
+    words = str(caught.value)
+    assert not re.search(
+        r"\n|Input|Field|tuple|boolean|constructor|token|scanning|unhashable|tag:|None|True", words
+    )
+    return words
+
+
+@pytest.mark.parametrize(
+    ("line", "cause", "told"),
+    [
+        ("links: !!set {a}", "not_yaml", "line 2, column 8: such a tag is not read"),
+        ("links: !!binary aGk=", "not_yaml", "line 2, column 8: such a tag is not read"),
+        ("links: !mine 5", "not_yaml", "line 2, column 8: such a tag is not read"),
+        ("links: !!bool x", "not_yaml", "line 2, column 8: 'x' is no number"),
+        ("links: !!bool 1", "tuple_type", "links = 1: a list is wanted"),
+        ("links: !!float", "not_yaml", "line 2, column 8: '' is no number"),
+        ("links: !!timestamp x", "not_yaml", "line 2, column 8: such a tag is not read"),
+        ("links:\n\t- a", "not_yaml", "lines are set in by spaces, no tabs"),
+        ("links: a: b", "not_yaml", "line 2, column 9: a second colon"),
+        ("links: *a", "not_yaml", "line 2, column 8: no such anchor"),
+        ("[a]: 1", "not_yaml", "line 2, column 1, in what begins in line 1: a key is one text"),
+        ("links: 'a", "not_yaml", "line 3, column 1, in what begins in line 2: a quote is not closed"),
+        ("reach_m: 4", "duplicate_key", "line 2: key 'reach_m' is written twice"),
+        ("links: on", "tuple_type", "links = true: a list is wanted"),
+        ("links: [{length_m: yes}]", "number", "links.0.length_m = true: a number in decimal digits"),
+        ("links: [{length_m: }]", "float_type", "links.0.length_m = null: a number in decimal digits"),
+        ("links: [{}]", "missing", "links.0.length_m: a value is wanted"),
+        ("links: [{length_m: 1, tags: [no]}]", "string_type", "tags.0 = false: text is wanted, in quotes"),
+        ("true: 1", "invalid_key", "a key is text"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_in_a_file_is_said_in_words_for_who_wrote_it(
+    tmp_path: Path, line: str, cause: str, told: str
+) -> None:
+    assert told in refused_for(tmp_path, f"reach_m: 5\n{line}\n", f"configuration.{cause}")
+
+
+def test_keys_are_merged_in_beneath_those_of_the_mapping_and_dates_are_text(tmp_path: Path) -> None:
+    link = "<<: *link, tags: [2026-12-01, =]"
+    (tmp_path / "arm.yaml").write_text(
+        f"reach_m: 5\nlinks: [&link {{length_m: 1.5, tags: [a]}}, {{{link}}}]\n"
+    )
+    assert load(Arm, tmp_path / "arm.yaml").links == (
+        Link(length_m=1.5, tags=("a",)),
+        Link(length_m=1.5, tags=("2026-12-01", "=")),
+    )
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:47000", "http://plc", "plc ", "[::1]", "", "plc/api"])

@@ -115,7 +115,7 @@ def test_a_busy_port_and_an_address_of_others_are_named(
         with pytest.raises(ConfigurationError, match=rf"^a\.b = 127\.0\.0\.1:{port}: ") as busy:
             bound("127.0.0.1", port, "a.b")
     assert busy.value.cause == "configuration.port_busy"
-    for host in ("192.0.2.1", "no such host"):
-        with pytest.raises(ConfigurationError, match=r"^a\.b = ") as foreign:
+    for host, told in (("192.0.2.1", ""), ("no such host", ""), ("::1", "an address of IPv4")):
+        with pytest.raises(ConfigurationError, match=rf"^a\.b = {host}:0: {told}") as foreign:
             bound(host, 0, "a.b")
         assert foreign.value.cause == "configuration.bad_address"

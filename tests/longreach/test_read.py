@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 import longreach
 from longreach.replaying import Replay
@@ -72,3 +73,22 @@ def test_what_was_cut_off_is_read_up_to_the_cut(run: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize(("alike", "damages", "identical"), [(3, 0, True), (2, 0, False), (3, 1, False)])
 def test_a_damaged_recording_is_no_identical_one(alike: int, damages: int, identical: bool) -> None:
     assert Replay({"look": alike}, {"look": 3}, "", damages).identical is identical
+
+
+def test_what_others_wrote_comes_back_whole(tmp_path: Path) -> None:
+    """One topic on two channels, truth values beside numbers, a number here and a list there."""
+    with (tmp_path / "merged.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("s", "jsonschema", b"{}")
+        channels = [writer.register_channel("/a", "json", schema) for _ in range(2)]
+        said = (b'{"a": 5, "b": true}', b'{"a": [1, 2], "b": 5}', b'{"a": 7, "b": false}')
+        for number, data in enumerate(said):
+            writer.add_message(channels[number % 2], number, data, number)
+        writer.finish()
+    topic = longreach.read(tmp_path / "merged.mcap")["/a"]
+    assert topic.log_ns.tolist() == [0, 1, 2]
+    assert topic["b"].tolist() == [True, 5, False]
+    assert topic["b"][0] is True
+    np.testing.assert_array_equal(topic["a"], [5, np.nan, 7])
+    np.testing.assert_array_equal(topic["a[1]"], [np.nan, 2, np.nan])

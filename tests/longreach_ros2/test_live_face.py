@@ -88,6 +88,15 @@ def test_an_address_without_a_port_is_refused(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("longreach_ros2.__main__._check_ros", lambda: None)
-    for wrong in ("here", "here:0", "here:99999", ":47000"):
+    for wrong in (
+        "here",
+        "here:0",
+        "here:99999",
+        ":47000",
+        "::1",
+        "fe80::1:47000",
+        "here:\u00b2",
+        "here:4_7",
+    ):
         assert main(["--controller", wrong]) == 2
         assert f"--controller {wrong!r} is not HOST:PORT" in capsys.readouterr().err

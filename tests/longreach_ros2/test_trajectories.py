@@ -117,6 +117,9 @@ def test_further_forms_of_the_same_mistakes_are_refused() -> None:
     assert refused(point(3.0, HOME), point(3.0, GOAL)).cause == "refused.ros_times"
     assert "named twice" in str(refused(point(8.0, (*GOAL, 0.0)), names=(*JOINT_NAMES, "slew")))
     assert refused(point(8.0, GOAL, (math.inf,) * 6)).cause == "refused.ros_not_finite"
+    for far in ((1e308,) * 6, (-1e300,) * 6):  # finite, but not what is computed of it
+        for wrong in (point(4.0, far), point(4.0, HOME, far), point(4.0, HOME, STILL, accelerations=far)):
+            assert refused(wrong, point(8.0, GOAL)).cause == "refused.ros_not_finite"
 
 
 def test_a_path_that_swings_out_of_range_between_its_points_is_refused() -> None:
@@ -150,6 +153,8 @@ def test_tolerances_mean_what_ros_says() -> None:
 def test_a_tolerance_that_ros_does_not_allow_or_nobody_judges_is_refused(wrong: Any, words: str) -> None:
     with pytest.raises(RequestRefused, match=words):
         tolerances([wrong], 0.005)
+    with pytest.raises(RequestRefused, match="joint 'lift', named twice"):
+        tolerances([tolerance("lift", 0.1), tolerance("lift", 0.2)], 0.005)
 
 
 def test_the_joint_that_is_off_most_by_its_own_tolerance_is_named() -> None:

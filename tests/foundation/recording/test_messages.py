@@ -95,4 +95,7 @@ def test_lines_and_json_are_decoded_flat() -> None:
     plain = decoder(Format("x", "jsonschema", b"{}", "json"))
     assert plain is not None
     assert plain(b'{"a": [1, {"b": null, "c": 2}]}') == {"a[0]": 1, "a[1].c": 2}
+    for wrong in (b"", b'{"a":', b'{"a": "\xff"}', b'{"a": ' + b"9" * 5000 + b"}", b"[" * 100_000):
+        with pytest.raises(UndecodableMessage, match=r"x: b'.{0,60}' is no JSON in UTF-8"):
+            plain(wrong)
     assert decoder(Format("x", "ros2msg", b"", "cdr")) is None

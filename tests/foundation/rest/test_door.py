@@ -183,7 +183,8 @@ def test_a_stop_is_served_on_a_connection_too_many_and_nothing_after_it(api: Api
     "target",
     [
         "/stop", "/stop/", "//stop", "/STOP", "/stop?now=1", "/%73top", "/./stop", "http://localhost/stop",
-        "HTTP://localhost:80/stop/", "/emergency-stop", "/emergency_stop/",
+        "HTTP://localhost:80/stop/", "/emergency-stop", "/emergency_stop/", "/stop%20", "/stop.",
+        "/stop;now=1", "/stop%C2%A0", "/EmergencyStop", "/emergency%20stop", "/stop#now",
     ],
 )  # fmt: skip
 def test_any_spelling_stops(api: Api, target: str) -> None:
@@ -191,7 +192,21 @@ def test_any_spelling_stops(api: Api, target: str) -> None:
     with full(api), api.connect() as sock:
         sock.sendall(f"POST {target} HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
         assert whole(sock).startswith(b"HTTP/1.1 200")
-    assert api.stops.begun == ["/emergency-stop" if "emergency" in target else "/stop"]
+    assert api.stops.begun == ["/emergency-stop" if "mergency" in target else "/stop"]
+
+
+@pytest.mark.parametrize(
+    "length",
+    [b"Transfer-Encoding: chunked", b"Transfer-Encoding: gzip, chunked", b"Content-Length: none",
+     b"Content-Length: 0\r\nContent-Length: 0", b"Content-Length: 2\r\nTransfer-Encoding: chunked"],
+)  # fmt: skip
+def test_a_stop_goes_whatever_its_length_says_and_ends_the_connection(api: Api, length: bytes) -> None:
+    with api.connect() as sock:
+        sock.sendall(STOP.replace(b"\r\n\r\n", b"\r\n" + length + b"\r\n\r\n0\r\n\r\n") + GET)
+        said = whole(sock)
+    assert said.startswith(b"HTTP/1.1 200")
+    assert said.count(b"HTTP/1.1") == 1
+    assert (api.stops.begun, "state" in api.begun) == (["/stop"], False)
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def test_a_set_that_came_out_of_a_configuration_goes_in_again() -> None:
     ("changes", "parts"),
     [
         ({"valve_set": "mobil"}, ["valve_set", "'mobil'", "one of valve_sets: servo, mobile"]),
-        ({"valve_set": ["mobile"]}, ["valve_set", "string"]),
+        ({"valve_set": ["mobile"]}, ["valve_set", "text"]),
         (
             {"valves": {"deadband": -0.01}},
             ["valves.deadband.supply_a", "-0.01", "greater than or equal to 0"],

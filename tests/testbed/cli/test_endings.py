@@ -146,7 +146,7 @@ def test_a_taken_port_is_named_before_anything_starts(command: tuple[str, ...], 
         runs = tmp_path / "runs"
         done = ended(*command, "--out", str(runs), "--set", f"vision.api.port={port}")
     assert done.exit_code == 2
-    assert f"rest port 127.0.0.1:{port}/tcp (vision.api.port): Address already in use" in done.stderr
+    assert f"rest port vision.api.port = 127.0.0.1:{port}: Address already in use" in done.stderr
     assert f"held by process {os.getpid()} (" in done.stderr
     assert "--free-ports" in done.stderr
     assert not runs.exists()

@@ -13,7 +13,12 @@ pytestmark = pytest.mark.slow("new interpreters, one a command")
 WRONG = (  # command, cause, what the line says beside it
     ("dmeo", "usage.unknown_command", "did you mean 'demo'?"),
     ("demo --sed 3", "usage.unknown_option", "--seed"),
-    ("demo --seed x", "usage.bad_value", "'--seed' = x"),
+    ("demo --seed x", "usage.bad_value", "'--seed' = x: a whole number in decimal digits is wanted"),
+    ("demo --seed 1_0", "usage.bad_value", "'--seed': '1_0' is no finite number in decimal digits"),
+    ("up --pace inf", "usage.bad_value", "'--pace': 'inf' is no finite number"),
+    ("target --size-mm 5_0", "usage.bad_value", "'--size-mm': '5_0' is no finite number"),
+    ("markers {file} --number 1 --number 1_0", "usage.bad_value", "'--number': '1_0' is no finite"),
+    ("conformance coupler --port 15_02", "usage.bad_value", "'--port': '15_02' is no finite number"),
     ("demo --looks 99", "usage.bad_value", "less than or equal to 9"),
     ("demo 3", "usage.wrong", "(3)"),
     ("demo --lockstep --config-dir /nosuch", "configuration.no_directory", "/nosuch"),

@@ -1,9 +1,14 @@
 """What a program returns and what is read from the API's answer of it are the same."""
 
-import numpy as np
+from unittest.mock import patch
 
+import httpx
+import numpy as np
+import pytest
+
+from protocol.errors import LinkLost
 from testbed.demonstration.sequence import note_of
-from testbed.realtime.rest_rig import look_of
+from testbed.realtime.rest_rig import RestRig, answered, look_of
 from testbed.reporting.run_directory import warnings_in
 from vision_pc.application.results import (
     JudgedLook,
@@ -76,3 +81,49 @@ def test_what_events_ask_a_person_to_do_is_said_once() -> None:
         {"event": "fault", "what": "text"},
     ]
     assert warnings_in(events) == [str(doubted)]
+
+
+@pytest.mark.parametrize("url", ["http://127.0.0.1:99999", "http://127.0.0.1:0", "http://[::1", "http://h:x"])
+def test_an_address_that_is_none_is_asked_nothing(url: str) -> None:
+    """A port of 99999 was port 34463, which got the token."""
+    with pytest.raises(LinkLost, match=r"wanted http://HOST:PORT") as refused:
+        RestRig(url, b"token")
+    assert refused.value.cause == "link.rest"
+
+
+@pytest.mark.parametrize(
+    ("status", "content", "told"),
+    [
+        (200, b"<html>", "200 OK"),
+        (200, b"[1]", "200 OK"),
+        (200, b"[" * 100_000, "200 OK"),
+        (200, b'{"a": "\xff', "200 OK"),
+        (502, b"null", "502 Bad Gateway"),
+        (500, b'["x"]', "500 Internal Server Error"),
+        (301, b"", "301 Moved Permanently, which leads to https://other/"),
+    ],
+)
+def test_an_answer_of_somebody_else_is_told_as_one(status: int, content: bytes, told: str) -> None:
+    asked = httpx.Request("GET", "http://user:secret@host/state")
+    location = {"location": "https://other/"} if status == 301 else {}
+    with pytest.raises(LinkLost, match="something else than Longreach") as refused:
+        answered(httpx.Response(status, content=content, headers=location, request=asked))
+    assert refused.value.cause == f"rest.{status}"
+    assert f"http://host/state: {told}" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (httpx.RemoteProtocolError("illegal request line"), "no whole answer in HTTP"),
+        (httpx.ConnectError("[SSL: WRONG_VERSION_NUMBER] wrong (_ssl.c:1006)"), "no TLS is spoken there"),
+        (httpx.ConnectError("[Errno 111] Connection refused"), "http://host/state: Connection refused;"),
+    ],
+)
+def test_what_fails_below_an_answer_is_told_in_our_words(error: httpx.HTTPError, told: str) -> None:
+    rig = RestRig("http://user:secret@host")
+    with patch.object(httpx.Client, "send", side_effect=error), pytest.raises(LinkLost) as refused:
+        rig.state()
+    rig.close()
+    assert told in str(refused.value)
+    assert "secret" not in str(refused.value)

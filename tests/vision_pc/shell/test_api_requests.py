@@ -97,6 +97,39 @@ async def test_broken_json_too_much_and_unknown_paths(station: Bench) -> None:
     assert unknown["detail"] == "no program 'lok'; did you mean look?"
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "content", "more", "told"),
+    [
+        ("POST", "/operations/look", b'{"frames": ', {}, "body.11: from this character on it is no JSON"),
+        ("POST", "/operations/look", b'{"frames": "\xff"}', {}, "no JSON: wanted are UTF-8"),
+        ("POST", "/operations/look", b"\x1f\x8b", {"content-encoding": "gzip"}, "no Content-Encoding"),
+        ("POST", "/operations/look", b'{"frames": ' + b"9" * 5000 + b"}", {}, "at most 4300 digits"),
+        ("POST", "/operations/look", b'{"frame": 5}', {}, "body.frame = 5: no such key"),
+        ("GET", "/targets?detct=true", b"", {}, "query.detct = 'true': no such key"),
+        ("GET", "/targets?detect=maybe", b"", {}, "query.detect = 'maybe': true or false is wanted"),
+        ("GET", "/targets?diameter_mm=1_0", b"", {}, "'1_0' is no finite number in decimal digits"),
+        ("POST", "/reset", b"", {"longreach-shown": "1_700"}, "'1_700' is no finite number"),
+        ("PATCH", "/clock", b"", {}, "PATCH /clock: wanted is GET or PUT"),
+        ("GET", "/nowhere", b"", {}, "GET /nowhere: nothing is at this path"),
+    ],
+)  # fmt: skip
+async def test_what_is_wrong_is_said_in_our_words(
+    station: Bench, method: str, path: str, content: bytes, more: dict[str, str], told: str
+) -> None:
+    headers = {"content-type": "application/json"} | more
+    answer = await station.client.request(method, path, content=content, headers=headers)
+    assert answer.is_client_error
+    assert told in answer.json()["detail"]
+    assert not re.search(r"Input|Extra|Field|decode error|parsing", answer.text)
+
+
+async def test_a_slash_behind_a_path_is_passed_over(station: Bench) -> None:
+    started = await station.client.post("/operations/look/")
+    assert started.status_code == 202
+    assert (await station.client.get(f"{started.headers['Location']}/")).json()["kind"] == "look"
+    await station.ended(started.headers["Location"])
+
+
 async def test_the_key_of_a_forgotten_operation_is_spent(
     station: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from functools import partial
@@ -14,6 +13,7 @@ from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
+from foundation.numbers_as_written import written_number
 from foundation.rest.files import add_docs
 from foundation.rest.problems import MEDIA_TYPE, problem
 from foundation.rest.server import install_problems, respond
@@ -53,23 +53,16 @@ def while_recent(stops: Collection[str]) -> Callable[[Request], Awaitable[None]]
         shown, path = request.headers.get(SHOWN), request.url.path
         if shown is None or request.method not in _JUDGED or path in stops or path.endswith("/cancel"):
             return
-        age_s = time.time() - _seconds(shown)
+        try:
+            age_s = time.time() - written_number(shown)
+        except ValueError as error:
+            why = f"Longreach-Shown: {error}; wanted the snapshot's time, in seconds"
+            raise RequestRefused("request.bad_header", why) from error
         if abs(age_s) > MOST_S:
             why = f"asked of what was shown {age_s:.1f} s ago, at most {MOST_S:g} s: nothing was done"
             raise RequestRefused("refused.asked_too_late", why)
 
     return judge
-
-
-def _seconds(shown: str) -> float:
-    try:
-        seconds = float(shown)
-    except ValueError:
-        seconds = math.nan
-    if not math.isfinite(seconds):
-        why = f"Longreach-Shown: {shown[:40]!r} is no time; wanted the snapshot's, in seconds"
-        raise RequestRefused("request.bad_header", why)
-    return seconds
 
 
 STOPS = ("/stop", "/disable", "/emergency-stop")  # whoever may look may stop

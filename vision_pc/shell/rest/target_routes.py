@@ -5,7 +5,9 @@ from typing import Annotated
 
 from fastapi import FastAPI, Query, Request, Response
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from foundation.numbers_as_written import written_number
 from foundation.rest.server import respond
 from protocol.errors import LinkLost
 from vision_pc.application.application import VisionApplication
@@ -17,16 +19,21 @@ from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.shell.rest.operations import Operations, problem_of
 
-_Diameter = Annotated[
-    float | None, Query(gt=5.0, le=500.0, description="of the holes; left out: as configured")
-]
+
+class HolesQuery(BaseModel):
+    """What is asked of the newest picture: text, as all in a query."""
+
+    model_config = ConfigDict(extra="forbid")
+    detect: bool = False
+    diameter_mm: Annotated[float, Field(gt=5.0, le=500.0), BeforeValidator(written_number)] | None = Field(
+        None, description="of the holes; left out: as configured"
+    )
 
 
 def add_targets(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     """Adds making, listing, choosing and forgetting targets to ``app``."""
     _add_making(app, application, operations)
-    _add_all(app, application)
-    _add_one(app, application, operations)
+    _add_keeping(app, application, operations)
 
 
 def _add_making(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
@@ -55,21 +62,17 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
         return JSONResponse(document, HTTPStatus.CREATED, {"Location": f"/targets/{kept.id}"})
 
 
-def _add_all(app: FastAPI, application: VisionApplication) -> None:
+def _add_keeping(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     camera = application.camera
 
     @app.get("/targets", tags=["targets"], summary="All targets, and the holes of the newest picture")
-    async def every(detect: bool = False, diameter_mm: _Diameter = None) -> JSON:
+    async def every(asked: Annotated[HolesQuery, Query()]) -> JSON:
         """``detect``: also look for holes, which are no targets before they are clicked."""
         document: JSON = {"targets": [_target_view(application, kept) for kept in camera.targets.list()]}
-        if detect:
-            frame_id, found = await camera.detected_holes(diameter_mm)
+        if asked.detect:
+            frame_id, found = await camera.detected_holes(asked.diameter_mm)
             document |= {"frame_id": frame_id, "holes": [hole_json(hole) for hole in found]}
         return document
-
-
-def _add_one(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
-    camera = application.camera
 
     @app.get("/targets/{target_id}", tags=["targets"], summary="One target")
     async def one(target_id: str) -> JSON:
