@@ -6,7 +6,6 @@ those already taken.
 """
 
 import math
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +15,16 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
-from testbed.hand_eye.pose_text import PoseLine, file_text, numbers, pose_lines, rotation_of_quaternion
+from testbed.hand_eye.pose_text import (
+    W_FIRST,
+    W_LAST,
+    PoseLine,
+    heading,
+    numbers,
+    pose_lines,
+    rotation_of_quaternion,
+    unit_scale,
+)
 from testbed.reporting.console import out
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
@@ -26,7 +34,6 @@ from vision_pc.shell.cameras.capture_times import unix_seconds
 
 _COPIES = 4  # [D] lines of one time, on average, that are believed
 _SAME_S = 1e-5  # two stamps of one moment, whatever the clock counts from: a double's step is 2e-7 s in 2026
-_W_FIRST = re.compile(r"(?i)(?:\bq|orientation)[\w.]*w\b.*(?:\bq|orientation)[\w.]*x\b")
 _EUROC = 17  # time, position, quaternion w first, velocity and the inertial unit's offsets
 _KITTI = 12  # a pose's upper three rows, without a time
 _SKEW = 1e-3  # how far what a file calls a rotation may be from one
@@ -47,13 +54,13 @@ _LONGEST_S = 0.1  # stretch of the hand's recording over which its pose is inter
 
 def load_tum(path: Path, normalise: bool = False, times_s: Array | None = None) -> Trajectory:
     """A trajectory file: lines ``t x y z qx qy qz qw`` (s or a Unix time of any unit, m) as ``pose_lines``
-    has them; a header that names q_w before q_x gives their order, as do EuRoC's 17 columns of ground truth.
+    has them; a heading gives the columns' order and unit, as do EuRoC's 17 columns of ground truth.
 
     Or KITTI's 12 columns, a line for each of ``times_s``. Lines are put in order of time, and of lines with
     the same time the first is kept. Raises RequestRefused naming the line.
     """
     times, poses = [], []
-    w_first = bool(_W_FIRST.search(file_text(path)))
+    columns, length = heading(path)
     lines = pose_lines(path)
     if lines and len(lines[0].words) == _KITTI:
         return _of_kitti(path, lines, times_s)
@@ -61,9 +68,9 @@ def load_tum(path: Path, normalise: bool = False, times_s: Array | None = None) 
         euroc = len(line.words) == _EUROC
         values = numbers(line.words[:8] if euroc else line.words, 8, line.where)
         times.append(values[0])
-        order = [4, 5, 6, 7] if w_first or euroc else [7, 4, 5, 6]
-        R = rotation_of_quaternion(values[order], line.where, normalise)
-        poses.append(stacks.transform(R, values[1:4]))
+        pose = values[1:][columns or (W_FIRST if euroc else W_LAST)]
+        R = rotation_of_quaternion(pose[3:], line.where, normalise)
+        poses.append(stacks.transform(R, unit_scale(length or "m") * pose[:3]))
     if len(times) < 3:
         raise RequestRefused(
             "refused.hand_eye.count", f"{path.name}: {len(times)} poses, at least 3 are needed"

@@ -27,22 +27,8 @@ pytestmark = pytest.mark.slow("ten thousand files")
 Mistake = tuple[str, str]
 """What was done, and the file's text then."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?(?![\w.])")
-NO_NUMBERS = (
-    "nan",
-    ".nan",
-    "inf",
-    "0x10",
-    "5,0",
-    "\uff15.0",
-    "true",
-    "1_0",
-    "1e",
-    "--1",
-    "1:30",
-    "''",
-    "[1]",
-    "1'000",
-)
+NO_NUMBERS = ("nan", ".nan", "inf", "0x10", "5,0",
+              "\uff15.0", "true", "1_0", "1e", "--1", "1:30", "''", "[1]", "1'000")  # fmt: skip
 
 
 def in_numbers(text: str) -> Iterator[Mistake]:
@@ -58,16 +44,10 @@ def in_numbers(text: str) -> Iterator[Mistake]:
 def in_lists(text: str) -> Iterator[Mistake]:
     """Every list with one item too many, too few, twice."""
     for found in re.finditer(r"\[([^\[\]]*,[^\[\]]*)\]", text):
-        items = found[1].split(",")
-        for what, wrong in (
-            ("too many", [*items, " 0.5"]),
-            ("too few", items[:-1]),
-            ("twice", [items[0], *items]),
-        ):
-            yield (
-                f"{found[0][:20]} {what}",
-                f"{text[: found.start()]}[{','.join(wrong)}]{text[found.end() :]}",
-            )
+        items, head, tail = found[1].split(","), text[: found.start()], text[found.end() :]
+        wrong = {"too many": [*items, " 0.5"], "too few": items[:-1], "twice": [items[0], *items]}
+        for what, list_ in wrong.items():
+            yield f"{found[0][:20]} {what}", f"{head}[{','.join(list_)}]{tail}"
 
 
 def in_lines(text: str) -> Iterator[Mistake]:
@@ -244,16 +224,21 @@ def written_poses() -> Iterator[tuple[str, str]]:
         for heading in ("", "# ", "plain"):
             for minus in ("-", "\u2212"):
                 for ends in ("\n", "\r\n"):
-                    head = (
-                        ""
-                        if not heading
-                        else ("" if heading == "plain" else heading) + between.join(names) + ends
-                    )
+                    head = heading and heading.replace("plain", "") + between.join(names) + ends
                     lines = [between.join(f"{v:.9f}" for v in row).replace("-", minus) for row in rows]
                     yield f"{between!r} {heading!r} {minus} {ends!r}", head + ends.join(lines) + ends
         head = between.join([*names[:4], "qw", "qx", "qy", "qz"])
         lines = [between.join(f"{v:.9f}" for v in row) for row in swapped]
         yield f"{between!r}, w first", "\n".join([head, *lines, ""])
+        columns = ["t", "rot_w", "rot_x", "rot_y", "rot_z", "p_x", "p_y", "p_z"]
+        lines = [between.join(f"{v:.9f}" for v in row) for row in rows[:, [0, 7, 4, 5, 6, 1, 2, 3]]]
+        yield f"{between!r}, rotation first", "\n".join([between.join(columns), *lines, ""])
+    for x in ("x_mm", "x [mm]", "pos_x(mm)"):
+        head = ",".join(["t", *(x.replace("x", axis, 1) for axis in "xyz"), "q.x", "q.y", "q.z", "q.w"])
+        lines = [",".join(f"{v:.9f}" for v in row) for row in rows * [1, 1e3, 1e3, 1e3, 1, 1, 1, 1]]
+        yield x, "\n".join([head, *lines])
+    yield "quoted", "\n".join(",".join(f'"{v:.9f}"' for v in row) for row in rows)
+    yield "commas, blanks", "\n".join("  ".join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
     yield "decimal commas", "\n".join(";".join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
     yield "remarks", "\n".join("# a remark\n" + " ".join(f"{v:.9f}" for v in row) + " # so" for row in rows)
     euroc = np.column_stack([swapped, np.zeros((5, 9))])
@@ -321,22 +306,32 @@ def test_kittis_poses_written_otherwise(tmp_path: Path) -> None:
             load_tum(path, times_s=none)
 
 
+KUKA = "X {}, Y {}, Z {}, A {}, B {}, C {}"
+ABB = "[[{}, {}, {}], [{}, {}, {}, {}], [0, -1, 0, 0], [9E+09, 9E+09, 9E+09, 9E+09, 9E+09, 9E+09]]"
+
+
 @pytest.mark.parametrize(
     ("form", "line"),
-    [(PoseForm.UR, "p[{}, {}, {}, {}, {}, {}]"), (PoseForm.KUKA, "{{X {}, Y {}, Z {}, A {}, B {}, C {}}}"),
-     (PoseForm.EULER, "[[{}, {}, {}], [{}, {}, {}]]")],
+    [(PoseForm.UR, "p[{}, {}, {}, {}, {}, {}]"), (PoseForm.KUKA, f"{{{{{KUKA}}}}}"),
+     (PoseForm.EULER, "[[{}, {}, {}], [{}, {}, {}]]"), (PoseForm.ABB, ABB),
+     (PoseForm.ABB, f"  LOCAL CONST robtarget p10:={ABB};"),
+     (PoseForm.UR, "global seen_p=p[{}, {}, {}, {}, {}, {}]"),
+     (PoseForm.KUKA, f"{{{{E6POS: {KUKA}, S 2, T 35, E1 0.0, E2 0.0, E3 0.0, E4 0.0, E5 0.0, E6 0.0}}}}"),
+     (PoseForm.KUKA, f"DECL E6POS XP1={{{{{KUKA},S 6,T 27,E1 0.0}}}}"),
+     (PoseForm.KUKA, f"{{{{FRAME: {KUKA}}}}}"),
+     (PoseForm.KUKA, KUKA.replace(" {", "={"))],
 )  # fmt: skip
-def test_what_robots_print_is_read(form: PoseForm, line: str, tmp_path: Path) -> None:
-    angles = [0.3, -0.2, 0.1] if form is PoseForm.UR else [30.0, -20.0, 10.0]
-    values = [*(1e3 if form is PoseForm.KUKA else 1.0) * np.array([0.5, -0.25, 1.0]), *angles]
-    for text in (line.format(*values), " ".join(map(str, values))):
-        (tmp_path / "poses.txt").write_text(f"{text}\n{text}\n", "utf-8")
+@pytest.mark.parametrize("name", ["", "a.png ", '"a.png",', "a.png: "])
+def test_what_robots_print_is_read(form: PoseForm, line: str, name: str, tmp_path: Path) -> None:
+    turn = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)
+    angles = {PoseForm.UR: turn.as_rotvec(), PoseForm.ABB: turn.as_quat()[[3, 0, 1, 2]]}
+    values = [*np.array([0.5, -0.25, 1.0]) * (1e3 if form in (PoseForm.KUKA, PoseForm.ABB) else 1.0),
+              *angles.get(form, [30.0, -20.0, 10.0])]  # fmt: skip
+    text = line.format(*map(float, values))
+    named = name and text[0] in "p{[X"  # a declaration has its own name
+    for written in (text, " ".join(map(str, map(float, values)))):
+        (tmp_path / "poses.txt").write_text(2 * f"{name if named else ''}{written}\n", "utf-8")
         found = read_robot_poses(tmp_path / "poses.txt", form)
-        assert found.names is None
+        assert found.names == (("a.png", "a.png") if named else None)
         np.testing.assert_allclose(found.X_BT[0, :3, 3], (0.5, -0.25, 1.0))
-        turn = (
-            Rotation.from_rotvec(values[3:])
-            if form is PoseForm.UR
-            else Rotation.from_euler("ZYX", values[3:], True)
-        )
         np.testing.assert_allclose(found.X_BT[0, :3, :3], turn.as_matrix(), atol=1e-12)

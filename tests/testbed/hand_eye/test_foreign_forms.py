@@ -81,6 +81,10 @@ def test_forms_of_other_programs_are_read(tmp_path: Path) -> None:
     [
         ("c.json", '{"A": [], "B": []}', "has A, B; a list of pose pairs or an object with"),
         ("d.yaml", "a: [", "not YAML"),
+        ("e.json", '{"length_unit": "m", "length_unit": "mm"}', "key 'length_unit' is written twice"),
+        ("f.json", '{"samples": [\n1,\n]}', r"not JSON: line 3, column 1: '\]}' is unexpected"),
+        ("g.json", '{"samples": [', "not JSON: line 1, column 14: the end is unexpected"),
+        ("h.json", json.dumps([[np.eye(4).tolist(), [[1, 0, 0, 0]] * 3 + [[1] * 4]]]), "by columns"),
     ],
 )
 def test_what_is_not_read_is_told_by_what_stands_there(
@@ -98,27 +102,18 @@ def reread(hand: Array, how: Any) -> Array:
     return made
 
 
+FIXED = "roll pitch yaw about fixed axes"
+
+
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        (
-            lambda R: Rotation.from_euler("ZYX", R.as_euler("xyz")),
-            "roll pitch yaw about fixed axes, read as Z Y X",
-        ),
-        (
-            lambda R: Rotation.from_euler("XYZ", R.as_euler("xyz")),
-            "roll pitch yaw about fixed axes, read as X Y Z",
-        ),
+        (lambda R: Rotation.from_euler("ZYX", R.as_euler("xyz")), f"{FIXED}, read as Z Y X"),
+        (lambda R: Rotation.from_euler("XYZ", R.as_euler("xyz")), f"{FIXED}, read as X Y Z"),
         (lambda R: Rotation.from_euler("xyz", R.as_rotvec()), "a rotation vector, read as roll pitch yaw"),
-        (
-            lambda R: Rotation.from_rotvec(R.as_euler("xyz")),
-            "roll pitch yaw about fixed axes, read as a rotation vector",
-        ),
+        (lambda R: Rotation.from_rotvec(R.as_euler("xyz")), f"{FIXED}, read as a rotation vector"),
         (lambda R: Rotation.from_euler("xyz", np.radians(R.as_euler("xyz"))), "radians, read as degrees"),
-        (
-            lambda R: Rotation.from_rotvec(np.radians(R.as_rotvec())),
-            "radians, read as degrees of a rotation vector",
-        ),
+        (lambda R: Rotation.from_rotvec(np.radians(R.as_rotvec())), "as degrees of a rotation vector"),
         (lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYZ")), "Z Y Z, read as Z Y X"),
     ],
 )
@@ -142,6 +137,23 @@ def test_angles_in_radians_are_asked_about_and_can_be_read(tmp_path: Path) -> No
         read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER)
     found = read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
     np.testing.assert_allclose(found.X_BT, hand, atol=1e-9)
+    (tmp_path / "poses.txt").write_text("0.5 0 1 0 0 170\n")
+    with pytest.raises(RequestRefused, match="an angle is 170, radians are wanted; are they degrees"):
+        read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
+
+
+@pytest.mark.parametrize("form", [PoseForm.QUATERNION_XYZW, PoseForm.QUATERNION_WXYZ])
+@pytest.mark.parametrize("last", ["qx qy qz qw", "qw qx qy qz"])
+def test_a_heading_tells_the_order_and_unit_of_columns(tmp_path: Path, form: PoseForm, last: str) -> None:
+    hand, _ = samples(4)
+    turns = np.roll(Rotation.from_matrix(hand[:, :3, :3]).as_quat(), int(last[1] == "w"), axis=1)
+    rows = np.column_stack([1e3 * hand[:, :3, 3], turns])
+    lines = [" ".join(f"{v:.12f}" for v in row) for row in rows]
+    (tmp_path / "poses.txt").write_text("\n".join([f"x_mm y_mm z_mm {last}", *lines]))
+    np.testing.assert_allclose(read_robot_poses(tmp_path / "poses.txt", form).X_BT, hand, atol=1e-9)
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    with pytest.raises(RequestRefused, match=r"line 1: translation .* in millimetres"):
+        read_robot_poses(tmp_path / "poses.txt", form)
 
 
 def test_poses_are_not_interpolated_over_gaps_whatever_the_clock_counts_from() -> None:

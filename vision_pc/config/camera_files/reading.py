@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from foundation.configuration import parse_mapping, parse_yaml
-from foundation.foreign_text import decoded
+from foundation.foreign_text import decoded, unreadable
 from foundation.numbers_as_written import StrictLoader
 from protocol.errors import ConfigurationError
 from vision_pc.config.camera_files import yaml_files
@@ -183,9 +183,9 @@ def text_of(path: Path) -> str:
     try:
         text = decoded(path.read_bytes()[:_MOST_BYTES])
     except OSError as error:
-        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
+        raise ConfigurationError("configuration.unreadable", f"{path}: {unreadable(error)}") from error
     except UnicodeDecodeError as error:
-        raise bad_calibration(path, f"no text at byte {error.start}; {_WANTED}") from error
+        raise bad_calibration(path, f"{unreadable(error)}; {_WANTED}") from error
     if not text.strip():
         raise bad_calibration(path, f"is empty; {_WANTED}")
     return text

@@ -94,7 +94,7 @@ def pose_pairs(
     names = names or tuple(str(k + 1) for k in range(len(hand)))
     for what, stack in (("hand", hand), ("camera", target)):
         for name, X in zip(names, stack, strict=True):
-            _check_pose(X, f"sample {name}: {what} pose")
+            check_pose(X, f"sample {name}: {what} pose")
     hand, target = _exact(hand), _exact(target)
     _check_repeats(hand, target, names)
     flat = np.concatenate([hand[:, :3].reshape(len(hand), 12), target[:, :3].reshape(len(hand), 12)], axis=1)
@@ -126,12 +126,14 @@ def _exact(X: Array) -> Array:
     return stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
 
 
-def _check_pose(X: Array, where: str) -> None:
+def check_pose(X: Array, where: str) -> None:
+    """Raises RequestRefused as ``pose_pairs`` for what is no pose (4, 4) in metres that stands ``where``."""
     if not np.isfinite(X).all():
         raise RequestRefused("refused.hand_eye.not_finite", f"{where} holds a number that is not finite")
     if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        why = "" if X[:3, 3].any() else "; is it written by columns?"
         raise RequestRefused(
-            "refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1"
+            "refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1{why}"
         )
     R, p = X[:3, :3], X[:3, 3]
     defect = float(np.abs(R.T @ R - np.eye(3)).max())

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from foundation.foreign_text import read_text
+from foundation.foreign_text import read_text, unreadable
 from foundation.numbers_as_written import written_number
 from protocol.errors import ConfigurationError
 from vision_pc.shell.cameras.capture_times import order_of_name, times_of, times_of_names
@@ -209,7 +209,7 @@ def _values(table: Path) -> list[Decimal]:
     try:
         lines = read_text(table).splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError("configuration.bad_sequence", f"{table}: {error}") from error
+        raise ConfigurationError("configuration.bad_sequence", f"{table}: {unreadable(error)}") from error
     for number, line in enumerate(lines, 1):
         content = line.partition("#")[0].strip()
         try:
