@@ -7,7 +7,7 @@ import numpy as np
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.camera.checking import PLAIN, question
 from testbed.camera.pairs import boards_in, take
-from testbed.reporting.console import out, table, write_json
+from testbed.reporting.console import noted, out, table, write_json
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.camera_files.reading import read_calibrations, write_calibration
 from vision_pc.config.choices import LensModel
@@ -87,8 +87,7 @@ def _print(found: StereoFit, rows_px: float, to: Path) -> None:
     ]
     columns = ("eye", "fx px", "fy px", "cx px", "cy px", *COEFFICIENTS[calibration.left.lens])
     out.print(table(f"{len(found.names)} views", columns, cells))
-    if found.left_out:
-        out.print(f"left out, they disagree: {', '.join(found.left_out)}", style="yellow", highlight=False)
+    noted([f"left out, they disagree: {', '.join(found.left_out)}"] if found.left_out else [])
     camera = rectified_camera(calibration)
     out.print(
         f"{to}: corners {calibration.rms_px:.3f} px rms, rectified rows {rows_px:.3f} px rms "

@@ -237,8 +237,10 @@ def offset_findings(offset: StereoOffset | None) -> list[CameraFinding]:
                 "disparity offset", "no marker or board seen", "a known marker or board in view", True
             )
         ]
-    shown = f"{offset.x_px:+.2f} ± {offset.std_x_px:.2f} px across, "
-    shown += f"{offset.y_px:+.2f} ± {offset.std_y_px:.2f} down"
+    shown = (
+        f"{offset.x_px:+.2f} ± {offset.std_x_px:.2f} px across, "
+        f"{offset.y_px:+.2f} ± {offset.std_y_px:.2f} down"
+    )
     good = abs(offset.x_px) <= _OFFSET_PX
     return [CameraFinding("disparity offset", shown, f"within {_OFFSET_PX:g} px", good,
                     f"ranges are wrong: {_CALIBRATE}, or another size is printed")]  # fmt: skip

@@ -10,7 +10,7 @@ from foundation.foreign_text import read_each
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.cli.options import OdometryOptions
 from testbed.hand_eye.trajectories import Trajectory, load_tum
-from testbed.reporting.console import bars, out, promised, table, write_json
+from testbed.reporting.console import bars, noted, out, promised, table, write_json
 from testbed.reporting.trajectory_errors import errors_of_maps
 from vision_pc.application.annotate import png
 from vision_pc.config.vision import MarkerSettings, VisionConfig
@@ -155,8 +155,7 @@ def run_markers(
         if right:
             results[-1] |= {"right_picture": str(twin), "right_markers": _plain(other)}
     out.print(table("markers", _HEADS, rows))
-    for note in notes:
-        out.print(note, style="yellow", highlight=False, soft_wrap=True)
+    noted(notes)
     out.print(f"{len(rows)} lines from {len(readable)} pictures; {'complete' if complete else 'INCOMPLETE'}")
     answer = {"dictionary": dictionary, "pictures": results, "notes": notes, "complete": complete}
     write_json(json_file, answer)

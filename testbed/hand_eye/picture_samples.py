@@ -14,7 +14,7 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.camera.checking import question
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import RobotPoses, file_text, numbers
-from testbed.reporting.console import out
+from testbed.reporting.console import noted, out
 from vision_pc.config.camera_files.reading import read_eye
 from vision_pc.config.choices import Detector, LensModel, Setup
 from vision_pc.core import se3
@@ -161,8 +161,7 @@ def sample_file(
         samples.append(
             _sample(view._replace(pixels=camera.straight(view.pixels)), path, X_BT, camera, target)
         )
-    for line in second_finders(views):
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    noted(second_finders(views))
     question([one.image for one in pictures], board, len(samples))
     if len(samples) < _LEAST:
         raise RequestRefused(
@@ -211,7 +210,6 @@ def _pose(view: BoardView, camera: CameraFile) -> Array:
 
 def write_samples(content: dict[str, Any], missed: list[str], to: Path) -> None:
     """Write the file and say what was left out. Raises OSError."""
-    if missed:
-        out.print(f"no board in {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True)
+    noted([f"no board in {', '.join(missed)}"] if missed else [])
     to.write_text(json.dumps(content, indent=1), encoding="utf-8")
     out.print(f"{to}: {len(content['samples'])} samples", highlight=False, soft_wrap=True)

@@ -15,6 +15,7 @@ from foundation.foreign_text import decimal_points, read_text, unreadable
 from foundation.numbers_as_written import written_number
 from protocol.errors import RequestRefused
 from testbed.choices import PoseForm
+from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import check_pose
 from vision_pc.core.se3 import Array
@@ -26,6 +27,7 @@ _AROUND = re.compile(
 )
 _BETWEEN = re.compile(r'[,;\s\[\](){}"=]+|:(?=[\s=\[{])')
 _CLOSING = re.compile(r"[\s\])};,]+$")
+_NUMBER = re.compile(r"(?i)[-+\u2212]?[\d.]+(e[-+]?\d+)?")
 _NO_NAME = re.compile(r"(?i)[-+.\u2212\d]|(nan|inf)\b")
 _COLUMN = re.compile(
     r"(?i)(?<![\w.])((?:[\w.]*[_.])?(?:[pqtr]|pos|trans|rot|quat|orient|(?:posi|transla|rota|orienta)tion"
@@ -74,17 +76,10 @@ def pose_lines(path: Path) -> list[PoseLine]:
     return found
 
 
-class Heading(NamedTuple):
-    """What a file says of its columns: where x y z and q_w q_x q_y q_z are among the seven of a pose, and the
-    unit of lengths; None each where it does not say.
+def heading(path: Path) -> tuple[list[int] | None, str | None]:
+    """Where x y z and q_w q_x q_y q_z are among the seven columns of a pose, and the unit of lengths, as the
+    file names them; None each where it does not. Raises RequestRefused.
     """
-
-    columns: list[int] | None
-    unit: str | None
-
-
-def heading(path: Path) -> Heading:
-    """What names the columns of a file of poses. Raises RequestRefused."""
     text = file_text(path)
     unit = _COLUMN_UNIT.search(text)
     for line in filter(re.compile("[wW]").search, text.splitlines()):
@@ -95,9 +90,8 @@ def heading(path: Path) -> Heading:
         place, turned = [axes[k] for k in others], list(axes[turn : turn + 4])
         if sorted(place) == list("xyz") and sorted(turned) == list("wxyz"):
             columns = [others[place.index(axis)] for axis in "xyz"]
-            columns += [turn + turned.index(axis) for axis in "wxyz"]
-            return Heading(columns, unit and unit[1].lower())
-    return Heading(None, unit and unit[1].lower())
+            return columns + [turn + turned.index(axis) for axis in "wxyz"], unit and unit[1].lower()
+    return None, unit and unit[1].lower()
 
 
 def unit_scale(name: Any) -> float:
@@ -185,14 +179,12 @@ def read_robot_poses(
         words = line.words
         if form is PoseForm.ABB and len(words) >= _ROBTARGET:
             words = words[: len(words) - _ROBTARGET + 7]
-        name = None if is_number(words[0]) or len(words) == _COUNTS.get(form, 7) else words.pop(0)
+        name = None if _NUMBER.fullmatch(words[0]) or len(words) == _COUNTS.get(form, 7) else words.pop(0)
         values = numbers(words, _COUNTS.get(form, 7), f"{line.where} ({form})")
         widest = max(widest, float(np.abs(values[3:]).max()))
-        X = np.eye(4)
         p, R = _parse_pose(values, form, order, columns, line.where, normalise)
-        X[:3, :3], X[:3, 3] = R, scale * p
-        check_pose(X, line.where)
-        poses.append(X)
+        poses.append(se3.transform(R, scale * p))
+        check_pose(poses[-1], line.where)
         names.append(name)
     if not poses:
         raise RequestRefused("refused.hand_eye.count", f"{path.name}: no pose in it")
@@ -210,13 +202,12 @@ def _question_angles(form: PoseForm, widest: float, where: str) -> None:
     """Raise RequestRefused where the widest of all angles is no more than a turn in radians, and degrees are
     wanted, or more, and radians are.
     """
-    if (widest <= 2.0 * math.pi) == (form is PoseForm.EULER_RAD):
-        return
-    why = f"no angle is larger than {widest:.3g}, degrees are wanted; are they radians? Then"
-    other = PoseForm.EULER_RAD
-    if form is PoseForm.EULER_RAD:
-        why, other = f"an angle is {widest:.4g}, radians are wanted; are they degrees? Then", PoseForm.EULER
-    raise RequestRefused("refused.hand_eye.units", f"{where}: {why} --poses {other} reads them")
+    small = widest <= 2.0 * math.pi
+    wanted, given = ("degrees", "radians") if small else ("radians", "degrees")
+    if widest and small != (form is PoseForm.EULER_RAD):
+        why = f"the widest angle is {widest:.4g}, {wanted} are wanted; are they {given}? Then"
+        other = PoseForm.EULER_RAD if small else PoseForm.EULER
+        raise RequestRefused("refused.hand_eye.units", f"{where}: {why} --poses {other} reads them")
 
 
 def _parse_pose(
@@ -239,12 +230,3 @@ def _parse_pose(
         return v[:3], Rotation.from_euler(order, v[3:], degrees=form is PoseForm.EULER).as_matrix()
     v = v[-7:][columns]
     return v[:3], rotation_of_quaternion(v[3:], where, normalise)
-
-
-def is_number(word: str) -> bool:
-    """Whether a word of a file is a number."""
-    try:
-        written_number(word)
-    except ValueError:
-        return False
-    return True

@@ -19,6 +19,12 @@ _PIECES = 10  # drift is over pieces of 10 m, or of a tenth of a shorter way
 _PIECE_M = 10.0
 _LEAST_WAY_M = 0.05
 _MISREAD = 5.0  # [D] times less error from pose to pose: no odometry does that, another reading does
+_NEARER = 2.0  # [D] times, where turns fit so much better
+_ROUNDS, _LEAST_TURN = 20, 0.01  # of turn and lever arm, each by the other; rad a step: less is noise
+_AWAY_M, _SQUARE = (
+    0.02,
+    0.05,
+)  # a body nearer to the camera, with axes nearer to its axes, is one turned by 90°
 
 
 class TrajectoryErrors(NamedTuple):
@@ -63,25 +69,79 @@ def trajectory_errors(
         )
     estimates, truth = np.stack([found[k].X_C0C for k in chosen]), true[nearest[chosen]]
     errors = _errors(estimates, truth)
-    for words, otherwise in _readings(truth):
-        if errors.rpe_mm > _MISREAD * (fits := _errors(estimates, otherwise)).rpe_mm:
-            comparison = f"RPE {errors.rpe_mm:.2f} mm as given, {fits.rpe_mm:.2f} mm if its {words}"
-            raise ConfigurationError("configuration.bad_trajectory", f"{name}: {comparison}: write it so")
+    readings = [(_errors(estimates, otherwise), words) for words, otherwise in _readings(estimates, truth)]
+    fits, words = min(readings, key=lambda reading: float(reading[0].rpe_mm))
+    turned = errors.rpe_deg > _MISREAD * fits.rpe_deg and errors.rpe_mm > _NEARER * fits.rpe_mm
+    if turned or errors.rpe_mm > _MISREAD * fits.rpe_mm:
+        comparison = f"RPE {errors.rpe_mm:.2f} mm as given, {fits.rpe_mm:.2f} mm if its {words}"
+        raise ConfigurationError("configuration.bad_trajectory", f"{name}: {comparison}: write it so")
     return errors
 
 
-def _readings(true: Array) -> Iterator[tuple[str, Array]]:
-    """The truth as other programs write it: another order of the quaternion, poses inverted, other axes."""
-    q = stacks.quaternion_from_rotation(true[:, :3, :3])
+def _readings(found: Array, true: Array) -> Iterator[tuple[str, Array]]:
+    """The truth as other programs write it: another order of the quaternion, poses inverted, other lengths,
+    other axes of positions, a mirrored world, another body on the same carrier.
+    """
+    R, p = true[:, :3, :3], true[:, :3, 3]
+    q = stacks.quaternion_from_rotation(R)
     for words, step in (("quaternions are w first", -1), ("quaternions are w last", 1)):
-        R = stacks.rotation_from_quaternion(np.roll(q, step, axis=-1))
-        yield words, stacks.transform(R, true[:, :3, 3])
+        yield words, stacks.transform(stacks.rotation_from_quaternion(np.roll(q, step, axis=-1)), p)
     yield "poses are of the world in the camera", stacks.inverse(true)
-    for turn in Rotation.create_group("O").as_matrix().round():
-        axes = " ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in turn.T)
-        if axes != "x y z":
-            R = true[:, :3, :3] @ turn
-            yield f"rotations are of a camera with axes {axes}", stacks.transform(R, true[:, :3, 3])
+    yield "rotations are transposed", stacks.transform(np.swapaxes(R, -1, -2), p)
+    moved, mine = np.diff(p, axis=0), stacks.inverse(found[:-1]) @ found[1:]
+    factor = float(np.linalg.norm(mine[:, :3, 3])) / max(float(np.linalg.norm(moved)), 1e-9)
+    if not 1.0 / _MISREAD < factor < _MISREAD:
+        words = f"lengths, or those of the baseline, are in another unit (times {factor:.4g})"
+        yield words, stacks.transform(R, factor * p)
+    for sign, words in ((1.0, ""), (-1.0, "axes are left-handed and its ")):
+        mirror = np.diag([1.0, 1.0, sign, 1.0])
+        X = mirror @ true @ mirror
+        place = _place(mine, stacks.inverse(X[:-1]) @ X[1:])
+        yield f"{words}rotations are of {_body(place)}", X @ se3.inverse(place)
+    for mirrored in (False, True):
+        turn = _nearest_turn(moved, np.einsum("kij,kj->ki", R[:-1], mine[:, :3, 3]), mirrored)
+        words, axes = _axes(turn.T)
+        yield f"positions are along {words} of the axes of its rotations", stacks.transform(R, p @ axes)
+
+
+def _place(mine: Array, other: Array) -> Array:
+    """The pose (4, 4) in the camera of a body that makes the motions ``other`` (n, 4, 4) where the camera
+    makes ``mine``.
+    """
+    turns = [Rotation.from_matrix(X[:, :3, :3]).as_rotvec() for X in (other, mine)]
+    weight = np.linalg.norm(other[:, :3, 3]) / max(np.linalg.norm(turns[0]), _LEAST_TURN * len(mine) ** 0.5)
+    aside, R, lever = mine[:, :3, :3] - np.eye(3), np.eye(3), np.zeros(3)
+    for _ in range(_ROUNDS):
+        steps = np.concatenate([other[:, :3, 3], weight * turns[0]])
+        R[:] = _nearest_turn(steps, np.concatenate([mine[:, :3, 3] + aside @ lever, weight * turns[1]]))
+        off = other[:, :3, 3] @ R.T - mine[:, :3, 3]
+        lever[:] = np.linalg.lstsq(aside.reshape(-1, 3), off.ravel(), rcond=1e-3)[0]
+    return se3.transform(R, lever)
+
+
+def _body(place: Array) -> str:
+    """What stands at ``place`` (4, 4) in the camera, in words."""
+    words, axes = _axes(place[:3, :3])
+    away, turn = np.linalg.norm(place[:3, 3]), Rotation.from_matrix(place[:3, :3]).as_rotvec(degrees=True)
+    if away < _AWAY_M and np.abs(place[:3, :3] - axes).max() < _SQUARE:
+        return f"a camera with axes {words}"
+    shown = " ".join(f"{value:.1f}" for value in turn)
+    return f"a body turned by the vector {shown} deg and {1e3 * away:.0f} mm from the camera"
+
+
+def _axes(turn: Array) -> tuple[str, Array]:
+    """The signed axes that the columns of ``turn`` (3, 3) are next to, in words and as such a matrix."""
+    at = np.abs(turn).argmax(axis=0)
+    signs = np.sign(turn[at, range(3)])
+    words = " ".join(f"{'-' if sign < 0.0 else ''}{'xyz'[k]}" for k, sign in zip(at, signs, strict=True))
+    return words, np.eye(3)[:, at] * signs
+
+
+def _nearest_turn(a: Array, b: Array, mirrored: bool = False) -> Array:
+    """The rotation, or reflection, (3, 3) that takes ``a`` (n, 3) nearest to ``b`` (Umeyama 1991)."""
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    hand = (np.sign(np.linalg.det(U @ Vt)) or 1.0) * (-1.0 if mirrored else 1.0)
+    return np.asarray(U @ np.diag([1.0, 1.0, hand]) @ Vt)
 
 
 def errors_of_maps(
@@ -145,9 +205,7 @@ def _align(places: Array, truth: Array) -> tuple[Array, Array, float]:
     similarity, places over wanted (Umeyama 1991).
     """
     a, b = places - places.mean(axis=0), truth - truth.mean(axis=0)
-    U, singular, Vt = np.linalg.svd(b.T @ a)
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt)) or 1.0])
-    R = U @ sign @ Vt
-    stretch = float((singular * np.diag(sign)).sum())
+    R = _nearest_turn(a, b)
+    stretch = float((b * (a @ R.T)).sum())
     scale = float((a**2).sum()) / stretch if stretch > 0.0 else float("nan")
     return R, truth.mean(axis=0) - R @ places.mean(axis=0), scale

@@ -138,7 +138,7 @@ def test_angles_in_radians_are_asked_about_and_can_be_read(tmp_path: Path) -> No
     found = read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
     np.testing.assert_allclose(found.X_BT, hand, atol=1e-9)
     (tmp_path / "poses.txt").write_text("0.5 0 1 0 0 170\n")
-    with pytest.raises(RequestRefused, match="an angle is 170, radians are wanted; are they degrees"):
+    with pytest.raises(RequestRefused, match="angle is 170, radians are wanted; are they degrees"):
         read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
 
 

@@ -126,7 +126,7 @@ def _exact(X: Array) -> Array:
     return stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
 
 
-def check_pose(X: Array, where: str) -> None:
+def check_pose(X: Array, where: str, longest_m: float = _LONGEST_M) -> None:
     """Raises RequestRefused as ``pose_pairs`` for what is no pose (4, 4) in metres that stands ``where``."""
     if not np.isfinite(X).all():
         raise RequestRefused("refused.hand_eye.not_finite", f"{where} holds a number that is not finite")
@@ -146,10 +146,10 @@ def check_pose(X: Array, where: str) -> None:
             "refused.hand_eye.not_orthonormal",
             f"{where}: rotation is off orthonormal by {defect:.2g}, limit {_SKEW:g}",
         )
-    if np.abs(p).max() > _LONGEST_M:
+    if np.abs(p).max() > longest_m:
         raise RequestRefused(
             "refused.hand_eye.units",
-            f"{where}: translation {np.abs(p).max():g} m, limit {_LONGEST_M:g} m; in millimetres?",
+            f"{where}: translation {np.abs(p).max():g} m, limit {longest_m:g} m; in millimetres?",
         )
 
 
