@@ -66,6 +66,14 @@ def _lengths(factor: float) -> Callable[[Array], Array]:
     return lambda X: stacks.transform(X[:, :3, :3], factor * X[:, :3, 3])
 
 
+def _half(X: Array) -> Array:
+    return stacks.transform(X[:, :3, :3], stacks.inverse(X)[:, :3, 3])
+
+
+def _low(X: Array) -> Array:
+    return stacks.transform(X[:, :3, :3], X[:, :3, 3] * [1.0, 1.0, 1e-3])
+
+
 def _shifted(good: Document) -> Document:
     cameras = [sample["camera"] for sample in good["samples"]]
     good["samples"] = good["samples"][:-1]
@@ -107,6 +115,9 @@ BAD_FILES = (
     BadFile("poses that do not belong together", _unrelated, _FAILED + "motions_differ", "belong"),
     BadFile("sides shifted by one", _shifted, _MISREAD, "shifted by one"),
     BadFile("the other setup", _set("setup", value="eye-to-hand"), _MISREAD, "the setup is eye-in-hand"),
+    BadFile("camera half inverted", _with(_CAMERA, _half), _MISREAD, "camera positions are inverted and"),
+    BadFile("hand half inverted", _with(_HAND, _half), _MISREAD, "hand positions are inverted and rotations"),
+    BadFile("height in mm", _with(_HAND, _low), _FAILED + "noise", "rotations fit and positions do not"),
     BadFile("camera in m, taken for mm", _with(_CAMERA, _lengths(1e-3)), _SCALE, "in m beside a hand in mm"),
     BadFile("camera 25.4 times too small", _with(_CAMERA, _lengths(1.0 / 25.4)), _SCALE, "inches"),
     BadFile("square said 10 % too large", _with(_CAMERA, _lengths(1.1)), _SCALE, "another size"),

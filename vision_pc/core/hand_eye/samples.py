@@ -73,8 +73,9 @@ class PosePairs:
         chosen = np.flatnonzero(keep)
         corners = self.corners and self.corners._replace(pixels=self.corners.pixels[chosen])
         names = tuple(self.names[k] for k in chosen)
-        order = tuple(range(len(chosen)))
-        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, order, corners)
+        return PosePairs(
+            self.setup, self.H[chosen], self.P[chosen], names, tuple(range(len(chosen))), corners
+        )
 
 
 def pose_pairs(
@@ -95,7 +96,7 @@ def pose_pairs(
     for what, stack in (("hand", hand), ("camera", target)):
         for name, X in zip(names, stack, strict=True):
             check_pose(X, f"sample {name}: {what} pose")
-    hand, target = _exact(hand), _exact(target)
+    hand, target = (stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3]) for X in (hand, target))
     _check_repeats(hand, target, names)
     flat = np.concatenate([hand[:, :3].reshape(len(hand), 12), target[:, :3].reshape(len(hand), 12)], axis=1)
     order = np.lexsort(flat.T[::-1])
@@ -120,10 +121,6 @@ def distinct(X_BT: Array, X_CP: Array) -> NDArray[np.bool_]:
         camera = _same(X_CP[k], X_CP[:k][first[:k]], _SEEN_M, _SEEN)
         first[k] = not bool(np.any(hand & camera))
     return first
-
-
-def _exact(X: Array) -> Array:
-    return stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
 
 
 def check_pose(X: Array, where: str, longest_m: float = _LONGEST_M) -> None:
