@@ -53,7 +53,18 @@ def run_odometry(
         spent_ms = 1e3 * (time.process_time() - began_s) / len(result.records)
     files = _write_trajectories(options.trajectory, result)
     _print(result, spent_ms, files)
-    results = _results(result) | {"milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files))}
+    results: dict[str, object] = {
+        "notes": result.notes,
+        "pairs": len(result.records),
+        "lost": result.lost,
+        "losses": dict(result.losses),
+        "maps": len(result.joints),
+        "maps_apart": len(result.apart),
+        "keyframes": result.keyframes,
+        "offset": None if result.offset is None else result.offset._asdict(),
+        "milliseconds_a_pair": spent_ms,
+        "trajectories": list(map(str, files)),
+    }
     try:
         if truth is not None:
             maps = {k: result.poses_of(k) for k in (0, *result.apart)}
@@ -66,19 +77,6 @@ def run_odometry(
     finally:  # the path was found, whether the truth fits it or not
         write_json(json_file, results)
     return result.lost == 0 and not result.apart
-
-
-def _results(result: SequenceResult) -> dict[str, object]:
-    return {
-        "notes": result.notes,
-        "pairs": len(result.records),
-        "lost": result.lost,
-        "losses": dict(result.losses),
-        "maps": len(result.joints),
-        "maps_apart": len(result.apart),
-        "keyframes": result.keyframes,
-        "offset": None if result.offset is None else result.offset._asdict(),
-    }
 
 
 def _read_trajectory(path: Path, times_s: Array) -> Trajectory:

@@ -28,7 +28,7 @@ from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, distinct, po
 from vision_pc.core.se3 import Array
 
 FORMAT = "longreach-hand-eye/1"
-_OTHER_NAMES = {
+_OTHER_NAMES = {  # MoveIt's and easy_handeye's
     "effector_wrt_world": "hand",
     "object_wrt_sensor": "camera",
     "robot": "hand",
@@ -94,20 +94,14 @@ def _from_document(data: Any, options: ImportOptions) -> PosePairs:
             raise RequestRefused(
                 "refused.hand_eye.format", f"{where}: an object is wanted, got {type(sample).__name__}"
             )
-        sample = _own_names(sample)
+        sample = {_OTHER_NAMES.get(key, key): part for key, part in sample.items()}
         _only(sample, {"name", "hand", "camera", "settled", "marker_id", "corners_px"}, where)
         _check_flags(sample.get("settled"), sample.get("marker_id"), wanted, where)
         hands.append(_pose(sample.get("hand"), f"{where}: hand", unit, options))
         cameras.append(_pose(sample.get("camera"), f"{where}: camera", unit, options))
         names.append(name)
         pixels.append(sample.get("corners_px"))
-    corners = _corners(data, pixels, names)
-    return _pairs(hands, cameras, setup, names, options, corners)
-
-
-def _own_names(sample: Mapping[str, Any]) -> dict[str, Any]:
-    """A sample of another program under our keys: MoveIt's and easy_handeye's."""
-    return {_OTHER_NAMES.get(key, key): value for key, value in sample.items()}
+    return _pairs(hands, cameras, setup, names, options, _corners(data, pixels, names))
 
 
 def _bare_pair(pair: Any, k: int) -> dict[str, Any]:

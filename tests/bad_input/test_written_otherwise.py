@@ -196,8 +196,13 @@ def test_kittis_matrices_written_otherwise(tmp_path: Path) -> None:
         )
         return "" if same and np.isclose(camera.right.X_CE[0, 3], 0.3) else "read as another camera"
 
-    cameras.write(path, KITTI)
-    assert read() == ""
+    for good in (KITTI, KITTI.replace("P", "P_rect_0")):  # the second as in KITTI's raw data
+        cameras.write(path, good)
+        assert read() == ""
+    for other, told in (("-126 0 421 189.5", r"P1's cy = 189\.5: 199\.5"), ("-126 9 421 199.5", "in rows")):
+        cameras.write(path, KITTI.replace("-126 0 421 199.5", other))
+        with pytest.raises(LongreachError, match=told):
+            read()
     units = [(f"P1[3] {word}", KITTI.replace("-126", word)) for word in ("-0.3", "126", "0", "-126000")]
     mistakes = [*in_numbers(KITTI), *in_lines(KITTI), *units]
     wrong = []

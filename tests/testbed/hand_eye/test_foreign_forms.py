@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.errors import ConfigurationError, MeasurementFailed, RequestRefused
 from testbed.choices import PoseForm
 from testbed.hand_eye import picture_samples
 from testbed.hand_eye.importer import load
@@ -117,10 +117,12 @@ FIXED = "roll pitch yaw about fixed axes"
         (lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYZ")), "Z Y Z, read as Z Y X"),
     ],
 )
-def test_a_convention_mistaken_is_named(how: Any, words: str) -> None:
+@pytest.mark.parametrize("side", ["hand", "camera"])
+def test_a_convention_mistaken_is_named(how: Any, words: str, side: str) -> None:
     hand, camera = samples()
-    with pytest.raises(MeasurementFailed) as refused:
-        judgement.believed(pose_pairs(reread(hand, how), camera), Method.MAXIMUM_LIKELIHOOD)
+    mistaken = (reread(hand, how), camera) if side == "hand" else (hand, reread(camera, how))
+    with pytest.raises(MeasurementFailed, match=f"likely.* {side} rotations") as refused:
+        judgement.believed(pose_pairs(*mistaken), Method.MAXIMUM_LIKELIHOOD)
     assert refused.value.cause == "measurement.hand_eye.misread"
     assert words in str(refused.value)
     assert "quaternions" not in str(refused.value)
@@ -217,8 +219,14 @@ def test_opencvs_file_of_one_camera_takes_the_size_of_the_pictures(tmp_path: Pat
     (tmp_path / "eye.yml").write_text(
         text + "   rows: 5\n   cols: 1\n   dt: d\n   data: [0., 0., 0., 0., 0.]\n"
     )
-    found = picture_samples.read_camera(tmp_path / "eye.yml", (640, 480))
-    assert found.size == (640, 480)
+    assert picture_samples.read_camera(tmp_path / "eye.yml", (1280, 720)).size == (1280, 720)
+    eye = {"K": [[900, 0, 640], [0, 900, 360], [0, 0, 1]], "distortion": [0] * 5}
+    (tmp_path / "eye.json").write_text(json.dumps(eye))
+    (tmp_path / "mm.json").write_text(json.dumps(eye | {"K": [[8, 0, 640], [0, 8, 360], [0, 0, 1]]}))
+    for name, told in (("eye.yml", "of pictures of 640x480"), ("eye.json", "of pictures of 640x480"),
+                       ("mm.json", r"mm\.json: fx = 8\.0: .* in millimetres")):  # fmt: skip
+        with pytest.raises(ConfigurationError, match=told):
+            picture_samples.read_camera(tmp_path / name, (640, 480))
 
 
 @pytest.mark.parametrize("orders", [("xyz", "YZX"), ("xyz", "XZY")])

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.errors import ConfigurationError
 from vision_pc.core.types import Image, StereoPair
@@ -12,6 +11,7 @@ from vision_pc.core.types import Image, StereoPair
 _GREY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
 # [S] TIFF 6.0, section 8, and EXIF: the entry of orientation in either order of bytes; its value follows.
 _TURN = (b"\x12\x01\x03\0\x01\0\0\0", b"\x01\x12\0\x03\0\0\0\x01\0")
+_SEEN_THROUGH = (3, 4, 6)  # [S] PNG's colour types with an alpha channel, or a palette that may have one
 _TIFF = (b"II*\0", b"MM\0*")  # [S] TIFF 6.0, section 2
 
 
@@ -42,7 +42,8 @@ def read_grey(path: Path) -> Image:
     if picture.dtype == np.uint16:
         bits = int(picture.max()).bit_length()
         picture = np.right_shift(picture.astype(np.uint16), max(bits + bits % 2 - 8, 0)).astype(np.uint8)
-    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if _may_be_transparent(data) else None
+    kind = int(data[25]) if data[:4].tobytes() == b"\x89PNG" and len(data) > 25 else 0
+    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if kind in _SEEN_THROUGH else None
     if layers is None or layers.ndim < 3 or layers.shape[2] != 4:
         return np.asarray(picture, dtype=np.uint8)
     share = layers[..., 3] / layers[..., 3].max() if layers[..., 3].any() else 1.0  # else there is no picture
@@ -60,8 +61,3 @@ def _refuse_turned_or_several(path: Path, data: bytes) -> None:
     else:
         return
     raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
-
-
-def _may_be_transparent(png: NDArray[np.uint8]) -> bool:
-    """Whether it is a PNG file whose colour type has an alpha channel, or a palette that may have one."""
-    return png[:4].tobytes() == b"\x89PNG" and len(png) > 25 and int(png[25]) in (3, 4, 6)
