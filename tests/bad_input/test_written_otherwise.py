@@ -256,19 +256,15 @@ def test_poses_written_otherwise(tmp_path: Path) -> None:
 
     def read() -> str:
         X = load_tum(path).X
-        same = (
-            len(X) == 5
-            and np.allclose(X[:, :3, 3], true[:, :3], atol=1e-8)
-            and np.allclose(X[:, :3, :3], R, atol=1e-7)
-        )
+        same = len(X) == 5 and np.allclose(X[:, :3, 3], true[:, :3], atol=1e-8)
+        same = same and np.allclose(X[:, :3, :3], R, atol=1e-7)
         return "" if same else f"read as {X[:, :3, 3].tolist()}"
 
     wrong, count = [], 0
     for k, (words, text) in enumerate(written_poses()):
         count += 1
         path.write_text(text, "utf-8")
-        read_rightly = read()
-        wrong += [f"{words}: {read_rightly}"] if read_rightly else []
+        wrong += [f"{words}: {why}"] if (why := read()) else []
         for what, bad in (*in_numbers(text), *in_lines(text)) if k % 9 == 0 else ():
             if what.endswith("is [1]"):
                 continue  # brackets are a way of writing poses

@@ -169,6 +169,17 @@ def test_poses_are_not_interpolated_over_gaps_whatever_the_clock_counts_from() -
     assert len(known[0]) == len(known[1]) == 16
 
 
+@pytest.mark.parametrize("hold", [1, 2, 3])
+def test_of_a_pose_that_a_hand_repeats_on_its_way_the_first_is_taken(hold: int) -> None:
+    hand, camera = samples(60)
+    times, late, new = 0.04 * np.arange(60), np.arange(60) // hold * hold, np.arange(0, 60, hold)
+    pairs, _ = pair(Trajectory(times, hand[late]), Trajectory(times, camera))
+    for name, X in zip(pairs.names, pairs.X_BT, strict=True):
+        k = round(float(name[2:]) / 0.04)
+        place = [np.interp(k, new, hand[new, axis, 3]) for axis in range(3)]
+        np.testing.assert_allclose(X[:3, 3], place if k < new[-1] else hand[late[k], :3, 3], atol=1e-9)
+
+
 def test_a_recording_in_nanoseconds_is_one_in_seconds(tmp_path: Path) -> None:
     for name, scale in (("s", 1.0), ("ns", 1e9)):
         lines = [f"{(1.7e9 + 0.1 * k) * scale:.1f} {k} 0 0 0 0 0 1" for k in range(4)]
@@ -189,12 +200,9 @@ distortion_coefficients: {rows: 1, cols: COUNT, data: [COEFFICIENTS]}
 
 @pytest.mark.parametrize(
     ("model", "coefficients"),
-    [
-        ("plumb_bob", "0.1, 0, 0, 0, 0"),
-        ("rational_polynomial", "0.1, 0, 0, 0, 0, 0.02, 0, 0"),
-        ("fisheye", "0.1, 0, 0, 0"),
-    ],
-)
+    [("plumb_bob", "0.1, 0, 0, 0, 0"), ("rational_polynomial", "0.1, 0, 0, 0, 0, 0.02, 0, 0"),
+     ("fisheye", "0.1, 0, 0, 0")],
+)  # fmt: skip
 def test_the_file_of_one_camera_is_enough(tmp_path: Path, model: str, coefficients: str) -> None:
     text = ONE_EYE.replace("MODEL", model).replace("COEFFICIENTS", coefficients)
     text = text.replace("COUNT", str(coefficients.count(",") + 1))

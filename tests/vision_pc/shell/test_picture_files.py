@@ -155,12 +155,6 @@ def test_what_is_equally_transparent_everywhere_is_seen(tmp_path: Path, opaque: 
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), grey)
 
 
-def test_real_numbers_are_no_grey_levels(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.tiff"), np.zeros((4, 4), np.float32))
-    with pytest.raises(ConfigurationError, match="grey levels of 8 or 16 bits are wanted"):
-        read_grey(tmp_path / "a.tiff")
-
-
 @pytest.mark.parametrize("bits", range(8, 17))
 def test_depth_is_that_of_the_values(tmp_path: Path, bits: int) -> None:
     values = np.linspace(0, 2**bits - 1, 256).astype(np.uint16).reshape(16, 16)
@@ -319,8 +313,11 @@ def test_a_picture_that_its_file_turns_is_refused(tmp_path: Path, orientation: i
         read_grey(tmp_path / "a.jpg")
 
 
-def test_of_several_pictures_in_a_file_none_is_chosen(tmp_path: Path) -> None:
+def test_several_pictures_in_a_file_and_real_numbers_are_refused(tmp_path: Path) -> None:
     picture = np.zeros((16, 16), np.uint8)
     cv2.imwritemulti(str(tmp_path / "a.tiff"), [picture, picture])
     with pytest.raises(ConfigurationError, match="2 pictures"):
+        read_grey(tmp_path / "a.tiff")
+    cv2.imwrite(str(tmp_path / "a.tiff"), picture.astype(np.float32))
+    with pytest.raises(ConfigurationError, match="grey levels of 8 or 16 bits are wanted"):
         read_grey(tmp_path / "a.tiff")
