@@ -54,17 +54,11 @@ def run_odometry(
     files = _write_trajectories(options.trajectory, result)
     _print(result, spent_ms, files)
     results: dict[str, object] = {
-        "notes": result.notes,
-        "pairs": len(result.records),
-        "lost": result.lost,
-        "losses": dict(result.losses),
-        "maps": len(result.joints),
-        "maps_apart": len(result.apart),
-        "keyframes": result.keyframes,
-        "offset": None if result.offset is None else result.offset._asdict(),
-        "milliseconds_a_pair": spent_ms,
-        "trajectories": list(map(str, files)),
-    }
+        "notes": result.notes, "pairs": len(result.records), "lost": result.lost,
+        "losses": dict(result.losses), "maps": len(result.joints), "maps_apart": len(result.apart),
+        "keyframes": result.keyframes, "offset": None if result.offset is None else result.offset._asdict(),
+        "milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files)),
+    }  # fmt: skip
     try:
         if truth is not None:
             maps = {k: result.poses_of(k) for k in (0, *result.apart)}

@@ -242,10 +242,10 @@ def written_poses() -> Iterator[tuple[str, str]]:
         head = ",".join(["t", *(x.replace("x", axis, 1) for axis in "xyz"), "q.x", "q.y", "q.z", "q.w"])
         lines = [",".join(f"{v:.9f}" for v in row) for row in rows * [1, 1e3, 1e3, 1e3, 1, 1, 1, 1]]
         yield x, "\n".join([head, *lines])
-    yield "quoted", "\n".join(",".join(f'"{v:.9f}"' for v in row) for row in rows)
-    yield "commas, blanks", "\n".join("  ".join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
-    yield "decimal commas", "\n".join(";".join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
-    yield "remarks", "\n".join("# a remark\n" + " ".join(f"{v:.9f}" for v in row) + " # so" for row in rows)
+    for words, between in (("commas, blanks", "  "), ("decimal commas", ";")):
+        yield words, "\n".join(between.join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
+    for words, first, between, last in (("quoted", '"', '","', '"'), ("remarks", "# so\n", " ", " # so")):
+        yield words, "\n".join(first + between.join(f"{v:.9f}" for v in row) + last for row in rows)
     euroc = np.column_stack([swapped, np.zeros((5, 9))])
     yield "EuRoC", "\n".join(",".join(f"{v:.9f}" for v in row) for row in euroc)
 

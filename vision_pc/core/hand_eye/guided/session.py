@@ -202,8 +202,7 @@ def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Ses
     if len(set(names)) != len(names):
         raise ValueError(f"sample names {names}: a name given twice")
     links = tuple(
-        DhLink(*(float(_matrix(values[key], ())) for key in DhLink._fields))
-        for values in document["arm"]["links"]
+        DhLink(*(float(_matrix(v[key], ())) for key in DhLink._fields)) for v in document["arm"]["links"]
     )
     if len(links) < JOINTS:
         raise ValueError(f"arm of {len(links)} links")
