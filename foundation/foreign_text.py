@@ -1,10 +1,9 @@
 """Files that other programs wrote: byte order marks, what a spreadsheet makes of columns, one bad of many."""
 
 import codecs
-import csv
-import io
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,6 +12,7 @@ from protocol.errors import ConfigurationError
 
 Item = TypeVar("Item")
 Content = TypeVar("Content")
+_SHOWN = 20  # characters of what is no JSON
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
@@ -32,45 +32,54 @@ def read_text(path: Path) -> str:
     return decoded(path.read_bytes())
 
 
+def unreadable(error: OSError | UnicodeDecodeError) -> str:
+    """Why a file was not read, in words."""
+    return f"no text at byte {error.start}" if isinstance(error, UnicodeDecodeError) else str(error.strerror)
+
+
 def parse_json(text: str) -> Any:
-    """What JSON ``text`` holds. Raises ValueError, also where it is nested too deeply for the parser."""
+    """What JSON ``text`` holds. Raises ValueError that says where it is none, or nested too deeply for the
+    parser, or a key is written twice.
+    """
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=_once)
+    except json.JSONDecodeError as error:
+        there = repr(text[error.pos :][:_SHOWN]) if text[error.pos :].strip() else "the end"
+        why = f"line {error.lineno}, column {error.colno}: {there} is unexpected"
+        raise ValueError(why) from error
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
 
 
-def comma_separated(lines: Sequence[str]) -> list[str]:
-    """Rows with commas between columns and points in numbers, of a table that may have semicolons or tabs,
-    and then decimal commas, as spreadsheets save it. The first row tells. Raises ValueError where a comma may
-    as well stand between thousands.
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(dict(pairs)) < len(pairs):
+        twice = next(name for name, count in Counter(name for name, _ in pairs).items() if count > 1)
+        raise ValueError(f"key '{twice}' is written twice")
+    return dict(pairs)
+
+
+def decimal_points(lines: Sequence[str]) -> list[str]:
+    """Rows whose numbers have points, of a table that may have decimal commas between semicolons or tabs, as
+    spreadsheets save it, or between blanks. Raises ValueError where a comma may as well stand between
+    thousands.
     """
-    if any(len(line) > csv.field_size_limit() for line in lines):
-        raise ValueError(f"a line is longer than {csv.field_size_limit()} characters")
     head = lines[0] if lines else ""
     signs = (sign for sign in ";\t" if sign in head and all(c.count(",") < 2 for c in head.split(sign)))
     sign = next(signs, None)
-    if sign is None:
+    rows = [[cell.strip(' "') for cell in line.split(sign)] for line in lines]
+    commas = [cell for row in rows for cell in row if "," in cell]
+    alone = commas and all(map(_DECIMAL_COMMA.fullmatch, commas)) and all(len(row) > 1 for row in rows)
+    if sign is None and not alone:
         return list(lines)
-    try:
-        rows = list(csv.reader(lines, delimiter=sign, skipinitialspace=True))
-    except csv.Error as error:
-        raise ValueError(str(error)) from error
-    if len(rows) != len(lines):
-        raise ValueError("a cell goes over several lines")
-    decimal = [cell for row in rows for cell in row if _DECIMAL_COMMA.fullmatch(cell.strip())]
-    points = (cell.strip() for row in rows for cell in row if _DECIMAL_POINT.fullmatch(cell.strip()))
+    decimal = [cell for cell in commas if _DECIMAL_COMMA.fullmatch(cell)]
+    points = (cell for row in rows for cell in row if _DECIMAL_POINT.fullmatch(cell))
     if decimal and (point := next(points, "")):
-        raise ValueError(f"{decimal[0].strip()} and {point}: decimal commas or points are wanted, not both")
-    grouped = next((cell for row in rows for cell in row if _GROUPED.fullmatch(cell.strip())), "")
-    if grouped or (decimal and all(map(_THOUSANDS.fullmatch, map(str.strip, decimal)))):
+        raise ValueError(f"{decimal[0]} and {point}: decimal commas or points are wanted, not both")
+    grouped = next((cell for row in rows for cell in row if _GROUPED.fullmatch(cell)), "")
+    if grouped or (decimal and all(map(_THOUSANDS.fullmatch, decimal))):
         why = "its comma may stand before decimals or between thousands: decimal points are wanted"
-        raise ValueError(f"{(grouped or decimal[0]).strip()}: {why}")
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    for row in rows:
-        table.writerow([c.replace(",", ".") if _DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row])
-    return text.getvalue().splitlines()
+        raise ValueError(f"{grouped or decimal[0]}: {why}")
+    return [",".join(c.replace(",", ".") if _DECIMAL_COMMA.fullmatch(c) else c for c in row) for row in rows]
 
 
 def read_each(

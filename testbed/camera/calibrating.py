@@ -7,7 +7,7 @@ import numpy as np
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.camera.checking import PLAIN, question
 from testbed.camera.pairs import boards_in, take
-from testbed.reporting.console import out, table, write_json
+from testbed.reporting.console import noted, out, table, write_json
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.camera_files.reading import read_calibrations, write_calibration
 from vision_pc.config.choices import LensModel
@@ -39,10 +39,7 @@ def run_calibrate(
             why = f"{source}: {name} differs in size from {taken.names[0]}, {width}x{height}"
             raise RequestRefused("refused.camera.sizes", why)
     views, missed = boards_in(taken, board)
-    if missed:
-        out.print(
-            f"no board in both eyes: {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True
-        )
+    noted([f"no board in both eyes: {', '.join(missed)}"] if missed else [])
     question([pair.left for pair in taken.pairs], board, len(views))
     if views:
         _guide(views, (width, height))
@@ -87,8 +84,7 @@ def _print(found: StereoFit, rows_px: float, to: Path) -> None:
     ]
     columns = ("eye", "fx px", "fy px", "cx px", "cy px", *COEFFICIENTS[calibration.left.lens])
     out.print(table(f"{len(found.names)} views", columns, cells))
-    if found.left_out:
-        out.print(f"left out, they disagree: {', '.join(found.left_out)}", style="yellow", highlight=False)
+    noted([f"left out, they disagree: {', '.join(found.left_out)}"] if found.left_out else [])
     camera = rectified_camera(calibration)
     out.print(
         f"{to}: corners {calibration.rms_px:.3f} px rms, rectified rows {rows_px:.3f} px rms "
@@ -110,6 +106,9 @@ def _write(to: Path, calibration: StereoCalibration) -> None:
 def run_convert(files: list[Path], size: tuple[int, int] | None, length_mm: float, to: Path) -> None:
     """Write ``files``' calibration in our own form. Raises ConfigurationError."""
     found = read_calibrations(files, size, 1e-3 * length_mm)
+    if size is not None and size != (found.width_px, found.height_px):
+        why = f"for pictures of {found.width_px}x{found.height_px}, --size says {size[0]}x{size[1]}"
+        raise ConfigurationError("configuration.wrong_size", f"{files[0]}: {why}: calibrate at that size")
     rectified_camera(found)  # a lens that folds over is refused
     _write(to, found)
     out.print(f"{to}: {found.source}, {found.width_px}x{found.height_px} px an eye", highlight=False)

@@ -101,7 +101,6 @@ def run_check(
                 picture, size, f"{source}: set vision.camera.width_px and height_px, or the camera's mode"
             )
     known = camera.calibration
-    raw = isinstance(known, StereoCalibration)
     rectify = Rectifier(known) if isinstance(known, StereoCalibration) else None
     rectified = [rectify(pair) for pair in taken.pairs] if rectify else taken.pairs
     views = [] if board is None else boards_in(taken._replace(pairs=rectified), board)[0]
@@ -115,7 +114,7 @@ def run_check(
     found = [
         CameraFinding("picture size an eye", f"{size[0]}x{size[1]} px", f"{size[0]}x{size[1]} px", True),
         *stamps(taken),
-        *row_findings(rows, raw),
+        *row_findings(rows, rectify is not None),
         *offset_findings(offset_of(rectified, config, views)),
         *(
             f
@@ -237,8 +236,10 @@ def offset_findings(offset: StereoOffset | None) -> list[CameraFinding]:
                 "disparity offset", "no marker or board seen", "a known marker or board in view", True
             )
         ]
-    shown = f"{offset.x_px:+.2f} ± {offset.std_x_px:.2f} px across, "
-    shown += f"{offset.y_px:+.2f} ± {offset.std_y_px:.2f} down"
+    shown = (
+        f"{offset.x_px:+.2f} ± {offset.std_x_px:.2f} px across, "
+        f"{offset.y_px:+.2f} ± {offset.std_y_px:.2f} down"
+    )
     good = abs(offset.x_px) <= _OFFSET_PX
     return [CameraFinding("disparity offset", shown, f"within {_OFFSET_PX:g} px", good,
                     f"ranges are wrong: {_CALIBRATE}, or another size is printed")]  # fmt: skip

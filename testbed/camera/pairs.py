@@ -15,7 +15,7 @@ from plant_emulator.core.camera.boards import board_pose
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import ConfigurationError, MeasurementFailed
-from testbed.reporting.console import bars, out, promised
+from testbed.reporting.console import bars, noted, out, promised
 from vision_pc.application.annotate import png
 from vision_pc.config.camera import CameraSettings
 from vision_pc.core import se3
@@ -84,12 +84,10 @@ def _pictures(directory: Path, most: int) -> Taken:
             "are folders left and right, or files left… and right…",
         )
     files, notes = matched_pictures(left, right)
-    for note in notes:
-        out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
+    noted(f"{directory}: {note}" for note in notes)
     chosen = _spread([(left[i], right[j], i) for i, j in files], most)
     read, unread = read_each(chosen, lambda of: read_pair(of[0], of[1], 0, of[2]))
-    for note in unread:
-        out.print(f"{directory}: {note}", style="yellow", highlight=False, soft_wrap=True)
+    noted(f"{directory}: {note}" for note in unread)
     pairs = [pair for _, pair in read]
     return Taken([left[pair.frame_id].name for pair in pairs], pairs, False)
 
@@ -141,8 +139,7 @@ def boards_in(taken: Taken, board: Board) -> tuple[list[PairView], list[str]]:
             except MeasurementFailed:
                 missed.append(name)
             bar.update((k + 1) / len(taken.pairs), f"{len(views)} boards in both eyes")
-    for line in second_finders(views):
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    noted(second_finders(views))
     return views, missed
 
 

@@ -9,7 +9,7 @@ import typer
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.cli.root import CommandApp
-from testbed.reporting.console import out, promised, table, writable, write_json
+from testbed.reporting.console import noted, out, promised, table, writable, write_json
 
 if TYPE_CHECKING:
     from testbed.reporting.checks import HealthCheck
@@ -39,8 +39,7 @@ def list_arms(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
     rows = [(name, what, boom.boom + boom.forearm + boom.wrist_to_tool) for name, what, boom in booms]
     cells = [(name, what, f"{reach:.2f}") for name, what, reach in rows]
     out.print(table("arms", ("--arm", "arm.yaml's name", "lift pivot to tool, m"), cells))
-    for line in broken:
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    noted(broken)
     keys = ("arm", "name", "reach_m")
     write_json(json_file, {"arms": [dict(zip(keys, row, strict=True)) for row in rows], "broken": broken})
 

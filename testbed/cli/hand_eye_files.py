@@ -13,7 +13,7 @@ from testbed.hand_eye.importer import ImportOptions, load
 from testbed.hand_eye.picture_samples import detect
 from testbed.hand_eye.pose_text import read_robot_poses
 from testbed.hand_eye.presentation import hold_out, hold_out_table
-from testbed.reporting.console import out, write_json
+from testbed.reporting.console import noted, out, write_json
 from vision_pc.config.choices import Detector, Method, Setup
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import judgement
@@ -62,8 +62,7 @@ def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: P
         raise MeasurementFailed(error.cause, f"{source.file.name}: {error}") from error
     out.print(presentation.result_table(result))
     out.print(presentation.sample_table(result))
-    for note in result.notes:
-        out.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
+    noted(f"note: {note}" for note in result.notes)
     results = presentation.result_json(result)
     for line, style in presentation.judgement_lines(found):
         out.print(line, style=style, highlight=False, soft_wrap=True)
@@ -95,8 +94,7 @@ def run_intrinsics_of_pictures(
         )
     chosen = described_board(board)
     views, missed = detect(pictures, chosen, detector)
-    for line in (*left_out, *second_finders(views), *(f"no board in {name}" for name in missed)):
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    noted([*left_out, *second_finders(views), *(f"no board in {name}" for name in missed)])
     question([image for _, image in pictures], chosen, len(views))
     height, width = pictures[0][1].shape
     found = zhang.calibrate(views, width, height)
@@ -109,15 +107,13 @@ def run_intrinsics_of_pictures(
         highlight=False,
         soft_wrap=True,
     )
-    fit = {
-        "K": K,
-        "distortion": found.distortion,
-        "std_px": found.std_px,
-        "coverage": found.coverage,
-    }
-    view_rms_px = dict(zip(found.names, found.view_rms_px.tolist(), strict=True))
-    summary = {"rms_px": found.rms_px, "missed": missed, "outlying": found.outlying}
-    write_json(json_file, summary | fit | {"view_rms_px": view_rms_px})
+    figures = {
+        "rms_px": found.rms_px, "missed": missed, "outlying": found.outlying, "K": K,
+        "distortion": found.distortion, "std_px": found.std_px, "coverage": found.coverage,
+        "width_px": width, "height_px": height,
+        "view_rms_px": dict(zip(found.names, found.view_rms_px.tolist(), strict=True)),
+    }  # fmt: skip
+    write_json(json_file, figures)
 
 
 def run_samples(
@@ -128,8 +124,7 @@ def run_samples(
     found = read_robot_poses(poses, lines.poses_as, lines.hand_unit, lines.euler)
     named = pictures_in(folder)
     pictures, left_out = picture_samples.alike(picture_samples.matched(named, found, poses.name))
-    for line in left_out:
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    noted(left_out)
     height, width = pictures[0].image.shape
     known = picture_samples.read_camera(camera, (width, height))
     if known.bends is not None:

@@ -10,7 +10,7 @@ from foundation.foreign_text import read_each
 from protocol.errors import ConfigurationError, RequestRefused
 from testbed.cli.options import OdometryOptions
 from testbed.hand_eye.trajectories import Trajectory, load_tum
-from testbed.reporting.console import bars, out, promised, table, write_json
+from testbed.reporting.console import bars, noted, out, promised, table, write_json
 from testbed.reporting.trajectory_errors import errors_of_maps
 from vision_pc.application.annotate import png
 from vision_pc.config.vision import MarkerSettings, VisionConfig
@@ -53,7 +53,12 @@ def run_odometry(
         spent_ms = 1e3 * (time.process_time() - began_s) / len(result.records)
     files = _write_trajectories(options.trajectory, result)
     _print(result, spent_ms, files)
-    results = _results(result) | {"milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files))}
+    results: dict[str, object] = {
+        "notes": result.notes, "pairs": len(result.records), "lost": result.lost,
+        "losses": dict(result.losses), "maps": len(result.joints), "maps_apart": len(result.apart),
+        "keyframes": result.keyframes, "offset": None if result.offset is None else result.offset._asdict(),
+        "milliseconds_a_pair": spent_ms, "trajectories": list(map(str, files)),
+    }  # fmt: skip
     try:
         if truth is not None:
             maps = {k: result.poses_of(k) for k in (0, *result.apart)}
@@ -66,19 +71,6 @@ def run_odometry(
     finally:  # the path was found, whether the truth fits it or not
         write_json(json_file, results)
     return result.lost == 0 and not result.apart
-
-
-def _results(result: SequenceResult) -> dict[str, object]:
-    return {
-        "notes": result.notes,
-        "pairs": len(result.records),
-        "lost": result.lost,
-        "losses": dict(result.losses),
-        "maps": len(result.joints),
-        "maps_apart": len(result.apart),
-        "keyframes": result.keyframes,
-        "offset": None if result.offset is None else result.offset._asdict(),
-    }
 
 
 def _read_trajectory(path: Path, times_s: Array) -> Trajectory:
@@ -155,8 +147,7 @@ def run_markers(
         if right:
             results[-1] |= {"right_picture": str(twin), "right_markers": _plain(other)}
     out.print(table("markers", _HEADS, rows))
-    for note in notes:
-        out.print(note, style="yellow", highlight=False, soft_wrap=True)
+    noted(notes)
     out.print(f"{len(rows)} lines from {len(readable)} pictures; {'complete' if complete else 'INCOMPLETE'}")
     answer = {"dictionary": dictionary, "pictures": results, "notes": notes, "complete": complete}
     write_json(json_file, answer)

@@ -22,12 +22,13 @@ from testbed.hand_eye.pose_text import (
     unit_scale,
 )
 from vision_pc.config.choices import Setup
+from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, distinct, pose_pairs
 from vision_pc.core.se3 import Array
 
 FORMAT = "longreach-hand-eye/1"
-_OTHER_NAMES = {
+_OTHER_NAMES = {  # MoveIt's and easy_handeye's
     "effector_wrt_world": "hand",
     "object_wrt_sensor": "camera",
     "robot": "hand",
@@ -63,10 +64,9 @@ def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
 def _document(text: str, is_yaml: bool) -> Any:
     try:
         return parse_yaml(text, "not YAML") if is_yaml else parse_json(text)
-    except ValueError as error:
-        raise RequestRefused("refused.hand_eye.unreadable", f"not JSON: {error}") from error
-    except ConfigurationError as error:
-        raise RequestRefused("refused.hand_eye.unreadable", str(error)) from error
+    except (ValueError, ConfigurationError) as error:
+        why = str(error) if is_yaml else f"not JSON: {error}"
+        raise RequestRefused("refused.hand_eye.unreadable", why) from error
 
 
 def _from_document(data: Any, options: ImportOptions) -> PosePairs:
@@ -94,20 +94,14 @@ def _from_document(data: Any, options: ImportOptions) -> PosePairs:
             raise RequestRefused(
                 "refused.hand_eye.format", f"{where}: an object is wanted, got {type(sample).__name__}"
             )
-        sample = _own_names(sample)
+        sample = {_OTHER_NAMES.get(key, key): part for key, part in sample.items()}
         _only(sample, {"name", "hand", "camera", "settled", "marker_id", "corners_px"}, where)
         _check_flags(sample.get("settled"), sample.get("marker_id"), wanted, where)
         hands.append(_pose(sample.get("hand"), f"{where}: hand", unit, options))
         cameras.append(_pose(sample.get("camera"), f"{where}: camera", unit, options))
         names.append(name)
         pixels.append(sample.get("corners_px"))
-    corners = _corners(data, pixels, names)
-    return _pairs(hands, cameras, setup, names, options, corners)
-
-
-def _own_names(sample: Mapping[str, Any]) -> dict[str, Any]:
-    """A sample of another program under our keys: MoveIt's and easy_handeye's."""
-    return {_OTHER_NAMES.get(key, key): value for key, value in sample.items()}
+    return _pairs(hands, cameras, setup, names, options, _corners(data, pixels, names))
 
 
 def _bare_pair(pair: Any, k: int) -> dict[str, Any]:
@@ -125,11 +119,10 @@ def _only(data: Mapping[str, Any], known: set[str], where: str) -> None:
 
 
 def _setup(name: Any) -> Setup:
-    try:
-        return Setup(name)
-    except ValueError as error:
-        known = ", ".join(s.value for s in Setup)
-        raise RequestRefused("refused.hand_eye.format", f"setup is {name!r}, known are {known}") from error
+    known = [setup.value for setup in Setup]
+    if name not in known:
+        raise RequestRefused("refused.hand_eye.format", f"setup is {name!r}, known are {', '.join(known)}")
+    return Setup(name)
 
 
 def _check_flags(settled: Any, marker_id: Any, wanted: Any, where: str) -> None:
@@ -152,9 +145,7 @@ def _pose(value: Any, where: str, unit: float, options: ImportOptions) -> Array:
     if isinstance(value, dict):
         _only(value, {"p", "q_wxyz", "q_xyzw", "rotation_vector_rad", "rotation_vector_deg", "R"}, where)
         p = unit * numbers(value.get("p"), 3, f"{where} p")
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = _rotation(value, where, options), p
-        return X
+        return se3.transform(_rotation(value, where, options), p)
     X = numbers(value, 16, where).reshape(4, 4)
     X[:3, 3] *= unit
     return X

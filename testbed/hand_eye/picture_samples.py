@@ -13,8 +13,9 @@ from foundation.foreign_text import parse_json, read_each
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.camera.checking import question
 from testbed.hand_eye.importer import FORMAT
-from testbed.hand_eye.pose_text import RobotPoses, file_text, numbers
-from testbed.reporting.console import out
+from testbed.hand_eye.pose_text import RobotPoses, file_text
+from testbed.reporting.console import noted, out
+from vision_pc.config.camera_files.parts import Entries, Pinhole, believed
 from vision_pc.config.camera_files.reading import read_eye
 from vision_pc.config.choices import Detector, LensModel, Setup
 from vision_pc.core import se3
@@ -70,7 +71,7 @@ def read_camera(path: Path, size: tuple[int, int]) -> CameraFile:
     ``size`` (width, height) of the pictures chooses among a ZED's and stands in where a file has none.
     """
     if path.suffix.lower() == ".json":
-        return _read_intrinsics(path)
+        return _read_intrinsics(path, size)
     eye = read_eye(path, size)
     if eye.lens is LensModel.BROWN_CONRADY:
         return CameraFile(eye.K, np.array(eye.distortion), eye.size)
@@ -78,7 +79,7 @@ def read_camera(path: Path, size: tuple[int, int]) -> CameraFile:
     return CameraFile(eye.K, np.zeros(5), eye.size, raw)
 
 
-def _read_intrinsics(path: Path) -> CameraFile:
+def _read_intrinsics(path: Path, size: tuple[int, int]) -> CameraFile:
     try:
         data = parse_json(file_text(path))
     except ValueError as error:
@@ -86,8 +87,12 @@ def _read_intrinsics(path: Path) -> CameraFile:
     if not isinstance(data, dict) or not {"K", "distortion"} <= set(data):
         why = f"{path.name}: K and distortion of `hand-eye intrinsics` are wanted"
         raise RequestRefused("refused.hand_eye.format", why)
-    K = numbers(data["K"], 9, f"{path.name} K").reshape(3, 3)
-    return CameraFile(K, numbers(data["distortion"], 5, f"{path.name} distortion"), None)
+    file, keys = Entries(path, data), ("width_px", "height_px")
+    if set(keys) <= set(data):
+        size = file.size(keys, [data[key] for key in keys])
+    D = file.numbers("distortion", data["distortion"], 5)
+    eye = believed(Pinhole(file.camera_matrix("K", data["K"]), LensModel.BROWN_CONRADY, D, size), path)
+    return CameraFile(eye.K, np.array(D), size)
 
 
 def matched(pictures: list[Path], poses: RobotPoses, where: str) -> list[tuple[Path, Array]]:
@@ -151,7 +156,10 @@ def sample_file(
     target = board.all_points_m() if isinstance(board, AprilGrid) else zhang.board_points(board)
     samples, missed, views = [], [], []
     for path, image, X_BT in pictures:
-        _require_size(path, image, camera)
+        if camera.size is not None and image.shape != camera.size[::-1]:
+            shape = f"{image.shape[1]}x{image.shape[0]}"
+            why = f"{path.name}: {shape} px, the calibration is of {camera.size[0]}x{camera.size[1]}"
+            raise RequestRefused("refused.hand_eye.sizes", why)
         try:
             view = find_board(image, board, path.name)
         except MeasurementFailed:
@@ -161,8 +169,7 @@ def sample_file(
         samples.append(
             _sample(view._replace(pixels=camera.straight(view.pixels)), path, X_BT, camera, target)
         )
-    for line in second_finders(views):
-        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+    noted(second_finders(views))
     question([one.image for one in pictures], board, len(samples))
     if len(samples) < _LEAST:
         raise RequestRefused(
@@ -175,16 +182,6 @@ def sample_file(
         "distortion": camera.distortion.tolist(),
     }  # fmt: skip
     return content, missed
-
-
-def _require_size(path: Path, image: Image, camera: CameraFile) -> None:
-    """Raises RequestRefused for another size than the camera's."""
-    if camera.size is not None and image.shape != camera.size[::-1]:
-        raise RequestRefused(
-            "refused.hand_eye.sizes",
-            f"{path.name}: {image.shape[1]}x{image.shape[0]} px, the calibration is of "
-            f"{camera.size[0]}x{camera.size[1]}",
-        )
 
 
 def _sample(view: BoardView, path: Path, X_BT: Array, camera: CameraFile, target: Array) -> dict[str, Any]:
@@ -211,7 +208,6 @@ def _pose(view: BoardView, camera: CameraFile) -> Array:
 
 def write_samples(content: dict[str, Any], missed: list[str], to: Path) -> None:
     """Write the file and say what was left out. Raises OSError."""
-    if missed:
-        out.print(f"no board in {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True)
+    noted([f"no board in {', '.join(missed)}"] if missed else [])
     to.write_text(json.dumps(content, indent=1), encoding="utf-8")
     out.print(f"{to}: {len(content['samples'])} samples", highlight=False, soft_wrap=True)

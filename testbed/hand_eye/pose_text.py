@@ -11,17 +11,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from foundation.foreign_text import comma_separated, read_text
+from foundation.foreign_text import decimal_points, read_text, unreadable
 from foundation.numbers_as_written import written_number
 from protocol.errors import RequestRefused
 from testbed.choices import PoseForm
+from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
+from vision_pc.core.hand_eye.samples import check_pose
 from vision_pc.core.se3 import Array
 
 _NORM_TOLERANCE = 0.02
-_OPENING = re.compile(r"^(?:p(?=\s*\[))?[\s\[({]+")  # what a robot writes before its numbers, and behind them
-_NO_NAME = re.compile(r"(?i)[-+.\u2212\d]|(nan|inf)\b")
+# What robots write around their numbers: declarations, the kind of a pose, p before a bracket.
+_AROUND = re.compile(
+    r"(?i)^(?:decl|const|pers|var|local|task|global)\s[^={\[]*=|\b(?:e6)?pos\s*:|\bframe\s*:|\bp(?=\s*\[)"
+)
+_BETWEEN = re.compile(r'[,;\s\[\](){}"=]+|:(?=[\s=\[{])')
 _CLOSING = re.compile(r"[\s\])};,]+$")
+_NUMBER = re.compile(r"(?i)[-+\u2212]?[\d.]+(e[-+]?\d+)?")
+_NO_NAME = re.compile(r"(?i)[-+.\u2212\d]|(nan|inf)\b")
+_COLUMN = re.compile(
+    r"(?i)(?<![\w.])((?:[\w.]*[_.])?(?:[pqtr]|pos|trans|rot|quat|orient|(?:posi|transla|rota|orienta)tion"
+    r"|quaternion)?_?)([wxyz])(?:_c?mm?)?(?![\w.])"
+)
+_TURNS = re.compile(r"(?i)(?:^|[_.])(?:q|rot|orient)|^r_?$")
+_COLUMN_UNIT = re.compile(r"(?im)^\W*[a-z].*(?:\b|_)(?:[pt]|pos)?[xyz][\s_]*[\[(]?(mm|cm)\b")
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
 
@@ -30,7 +43,7 @@ def file_text(path: Path) -> str:
     try:
         return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {error}") from error
+        raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {unreadable(error)}") from error
 
 
 class PoseLine(NamedTuple):
@@ -44,22 +57,41 @@ def pose_lines(path: Path) -> list[PoseLine]:
     """The lines of a file with a pose a line, without comments and a first line of names alone.
 
     Words stand between commas, semicolons, tabs or blanks, in the brackets and behind the letters that robots
-    write (``p[…]``, ``{X …, Y …}``). Raises RequestRefused.
+    write (``p[…]``, ``{E6POS: X …, Y …}``). Raises RequestRefused.
     """
     lines = [(k, line.split("#", 1)[0].strip()) for k, line in enumerate(file_text(path).splitlines(), 1)]
-    lines = [(k, _CLOSING.sub("", _OPENING.sub("", line))) for k, line in lines if line]
+    lines = [(k, _CLOSING.sub("", _AROUND.sub(" ", line))) for k, line in lines if line]
     try:
-        cells = comma_separated([line for _, line in lines])
+        rows = decimal_points([line for _, line in lines])
     except ValueError as error:
         raise RequestRefused("refused.hand_eye.format", f"{path.name}: {error}") from error
     found: list[PoseLine] = []
-    for (k, _), row in zip(lines, cells, strict=True):
-        words = [word for word in re.split(r"[,;\s\[\](){}]+", row) if word]
-        if [word.upper() for word in words[::2]] == list("XYZABC"):
-            words = words[1::2]
+    for (k, _), row in zip(lines, rows, strict=True):
+        words = [word for word in _BETWEEN.split(row) if word]
+        for named in (0, 1):  # by a picture's name
+            if [word.upper() for word in words[named::2]][:6] == list("XYZABC"):
+                words = words[:named] + words[named + 1 :: 2][:6]
         if found or any(map(_NO_NAME.match, words)):
             found.append(PoseLine(f"{path.name}: line {k}", words))
     return found
+
+
+def heading(path: Path) -> tuple[list[int] | None, str | None]:
+    """Where x y z and q_w q_x q_y q_z are among the seven columns of a pose, and the unit of lengths, as the
+    file names them; None each where it does not. Raises RequestRefused.
+    """
+    text = file_text(path)
+    unit = _COLUMN_UNIT.search(text)
+    for line in filter(re.compile("[wW]").search, text.splitlines()):
+        named = _COLUMN.findall(line)[:7]
+        axes = "".join(axis.lower() for _, axis in named)
+        turn = 0 if named and _TURNS.search(named[0][0]) else 3
+        others = [k for k in range(len(axes)) if not turn <= k < turn + 4]
+        place, turned = [axes[k] for k in others], list(axes[turn : turn + 4])
+        if sorted(place) == list("xyz") and sorted(turned) == list("wxyz"):
+            columns = [others[place.index(axis)] for axis in "xyz"]
+            return columns + [turn + turned.index(axis) for axis in "wxyz"], unit and unit[1].lower()
+    return None, unit and unit[1].lower()
 
 
 def unit_scale(name: Any) -> float:
@@ -108,6 +140,9 @@ def numbers(value: Any, count: int, where: str) -> Array:
 _COUNTS = {PoseForm.EULER: 6, PoseForm.EULER_RAD: 6, PoseForm.UR: 6, PoseForm.KUKA: 6,
            PoseForm.MATRIX: 16, PoseForm.FRANKA: 16, PoseForm.TUM: 8}  # fmt: skip
 _IN_MM = (PoseForm.KUKA, PoseForm.ABB)
+_IN_ANGLES = (PoseForm.EULER, PoseForm.EULER_RAD, PoseForm.KUKA)
+_ROBTARGET = 17  # ABB's: a pose, four of the configuration and six outer axes
+W_FIRST, W_LAST = [0, 1, 2, 3, 4, 5, 6], [0, 1, 2, 6, 3, 4, 5]  # columns of x y z, q_w q_x q_y q_z
 _ORDER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
 
 
@@ -123,10 +158,10 @@ def read_robot_poses(
 ) -> RobotPoses:
     """The poses of a file with a line a pose, numbers between commas, semicolons or blanks.
 
-    A first word that is no number names the picture; a first line without numbers is a header. ``unit`` is
-    that of positions (by default mm of KUKA and ABB, else m). ``order`` of Euler angles: capital letters turn
-    about the turned axes one after the other (intrinsic), small ones about fixed axes. Raises RequestRefused
-    with file and line.
+    A first word that is no number names the picture; a first line without numbers is a header, whose order of
+    a quaternion and unit are obeyed. ``unit`` is that of positions (by default mm of KUKA and ABB, else m).
+    ``order`` of Euler angles: capital letters turn about the turned axes one after the other (intrinsic),
+    small ones about fixed axes. Raises RequestRefused with file and line.
     """
     if form in (PoseForm.EULER, PoseForm.EULER_RAD) and not (
         _ORDER.match(order) and order[0] != order[1] != order[2]
@@ -134,24 +169,27 @@ def read_robot_poses(
         raise RequestRefused(
             "refused.hand_eye.format", f"Euler order {order!r}: such as ZYX or xyz is wanted"
         )
-    scale = unit_scale(unit) if unit else UNITS["mm" if form in _IN_MM else "m"]
+    columns, written = heading(path)
+    scale = unit_scale(unit or written or ("mm" if form in _IN_MM else "m"))
+    columns = columns or (W_FIRST if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else W_LAST)
     poses: list[Array] = []
     names: list[str | None] = []
     widest = 0.0
     for line in pose_lines(path):
         words = line.words
-        name = None if is_number(words[0]) or len(words) == _COUNTS.get(form, 7) else words.pop(0)
+        if form is PoseForm.ABB and len(words) >= _ROBTARGET:
+            words = words[: len(words) - _ROBTARGET + 7]
+        name = None if _NUMBER.fullmatch(words[0]) or len(words) == _COUNTS.get(form, 7) else words.pop(0)
         values = numbers(words, _COUNTS.get(form, 7), f"{line.where} ({form})")
         widest = max(widest, float(np.abs(values[3:]).max()))
-        X = np.eye(4)
-        p, R = _parse_pose(values, form, order, line.where, normalise)
-        X[:3, :3], X[:3, 3] = R, scale * p
-        poses.append(X)
+        p, R = _parse_pose(values, form, order, columns, line.where, normalise)
+        poses.append(se3.transform(R, scale * p))
+        check_pose(poses[-1], line.where)
         names.append(name)
     if not poses:
         raise RequestRefused("refused.hand_eye.count", f"{path.name}: no pose in it")
-    if form is PoseForm.EULER:
-        _question_degrees(widest, path.name)
+    if form in _IN_ANGLES:
+        _question_angles(form, widest, path.name)
     if any(name is None for name in names) and any(names):
         raise RequestRefused(
             "refused.hand_eye.format", f"{path.name}: some lines name a picture, some do not"
@@ -160,17 +198,21 @@ def read_robot_poses(
     return RobotPoses(np.stack(poses), named if names[0] is not None else None)
 
 
-def _question_degrees(widest: float, where: str) -> None:
-    """Raise RequestRefused where the widest of all angles is no more than a turn in radians."""
-    if widest <= 2.0 * math.pi:
-        raise RequestRefused(
-            "refused.hand_eye.units",
-            f"{where}: no angle is larger than {widest:.3g}, degrees are wanted; are they radians? Then "
-            f"--poses {PoseForm.EULER_RAD} reads them",
-        )
+def _question_angles(form: PoseForm, widest: float, where: str) -> None:
+    """Raise RequestRefused where the widest of all angles is no more than a turn in radians, and degrees are
+    wanted, or more, and radians are.
+    """
+    small = widest <= 2.0 * math.pi
+    wanted, given = ("degrees", "radians") if small else ("radians", "degrees")
+    if widest and small != (form is PoseForm.EULER_RAD):
+        why = f"the widest angle is {widest:.4g}, {wanted} are wanted; are they {given}? Then"
+        other = PoseForm.EULER_RAD if small else PoseForm.EULER
+        raise RequestRefused("refused.hand_eye.units", f"{where}: {why} --poses {other} reads them")
 
 
-def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: bool) -> tuple[Array, Array]:
+def _parse_pose(
+    v: Array, form: PoseForm, order: str, columns: list[int], where: str, normalise: bool
+) -> tuple[Array, Array]:
     """Position in the file's unit, and rotation."""
     if form in (PoseForm.MATRIX, PoseForm.FRANKA):
         X = v.reshape(4, 4, order="F" if form is PoseForm.FRANKA else "C")
@@ -180,22 +222,11 @@ def _parse_pose(v: Array, form: PoseForm, order: str, where: str, normalise: boo
                 "written by columns (franka) or by rows (matrix)?"
             )  # fmt: skip
         return X[:3, 3], X[:3, :3]
-    if form is PoseForm.TUM:
-        v = v[1:]
     if form is PoseForm.UR:
         return v[:3], rotation_of_vector(v[3:], where)
     if form is PoseForm.KUKA:
         return v[:3], Rotation.from_euler("ZYX", v[3:], degrees=True).as_matrix()
     if form in (PoseForm.EULER, PoseForm.EULER_RAD):
         return v[:3], Rotation.from_euler(order, v[3:], degrees=form is PoseForm.EULER).as_matrix()
-    q = v[3:] if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else v[[6, 3, 4, 5]]
-    return v[:3], rotation_of_quaternion(q, where, normalise)
-
-
-def is_number(word: str) -> bool:
-    """Whether a word of a file is a number."""
-    try:
-        written_number(word)
-    except ValueError:
-        return False
-    return True
+    v = v[-7:][columns]
+    return v[:3], rotation_of_quaternion(v[3:], where, normalise)

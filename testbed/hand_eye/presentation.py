@@ -87,26 +87,24 @@ def result_table(result: HandEyeResult) -> Table:
         ("quaternion w x y z", " ".join(f"{q:.6f}" for q in pose.q_wxyz)),
     ]
     f = result_json(result)
-    if "std_mm" in f:
-        rows.append(("standard deviation, mm", " ".join(f"{v:.3f}" for v in f["std_mm"])))
-        rows.append(("standard deviation, deg", " ".join(f"{v:.4f}" for v in f["std_deg"])))
-    if "camera_matrix" in f:
-        of = f["camera_matrix"]
-        rows.append(("  of which the camera matrix, mm", " ".join(f"{v:.3f}" for v in of["std_mm"])))
-        rows.append(("  of which the camera matrix, deg", " ".join(f"{v:.4f}" for v in of["std_deg"])))
-    if "noise" in f:
-        rows.append(
-            ("noise of camera", f"{f['noise']['camera_deg']:.4f} deg {f['noise']['camera_mm']:.3f} mm")
-        )
-        rows.append(("noise of robot", f"{f['noise']['robot_deg']:.4f} deg {f['noise']['robot_mm']:.3f} mm"))
+    matrix = f.get("camera_matrix", {})
+    for words, of in (("standard deviation", f), ("  of which the camera matrix", matrix)):
+        for unit, digits in (("mm", 3), ("deg", 4)):
+            if f"std_{unit}" in of:
+                rows.append((f"{words}, {unit}", " ".join(f"{v:.{digits}f}" for v in of[f"std_{unit}"])))
+    for side in ("camera", "robot") if "noise" in f else ():
+        noise = f["noise"]
+        rows.append((f"noise of {side}", f"{noise[f'{side}_deg']:.4f} deg {noise[f'{side}_mm']:.3f} mm"))
     if result.certificate is not None:
         c = result.certificate
         rows.append(
             ("proof of global optimum", f"{'holds' if c.holds else 'FAILS'} ({c.least_eigenvalue:.1e})")
         )
-    rows.append(("rotation seen", f"{f['observability']['largest_rotation_deg']:.1f} deg at most"))
-    rows.append(("about a second axis", f"{f['observability']['second_axis_deg']:.1f} deg rms"))
-    rows.append(("samples used", f"{int(result.inliers.sum())} of {len(result.names)}"))
+    rows += [
+        ("rotation seen", f"{f['observability']['largest_rotation_deg']:.1f} deg at most"),
+        ("about a second axis", f"{f['observability']['second_axis_deg']:.1f} deg rms"),
+        ("samples used", f"{int(result.inliers.sum())} of {len(result.names)}"),
+    ]
     return table(f"{result.method}, {result.setup}", ("", "value"), rows)
 
 

@@ -60,12 +60,10 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
     arm = answer["arm"]
     zeros = ", ".join(f"{v:+.1f} ± {s:.1f}" for v, s in zip(arm["zeros_mrad"], arm["std_mrad"], strict=True))
     _say(f"joint zeros, to be added to the encoders: {zeros} mrad")
-    certificate = answer["certificate"]
-    proof = "proven" if certificate["holds"] else "NOT proven"
-    _say(f"global optimum {proof}: least eigenvalue {certificate['least_eigenvalue']:.1e}")
-    left_out = answer["left_out"]
+    proof = "proven" if answer["certificate"]["holds"] else "NOT proven"
+    _say(f"global optimum {proof}: least eigenvalue {answer['certificate']['least_eigenvalue']:.1e}")
     rows = [
-        (r["name"], _three(r["mm"], 2), _three(r["deg"], 3), "left out" if r["name"] in left_out else "")
+        (r["name"], _three(r["mm"], 2), _three(r["deg"], 3), "left out" * (r["name"] in answer["left_out"]))
         for r in answer["residuals"]
     ]
     out.print(table("residuals in the camera", ("sample", "mm", "°", ""), rows))

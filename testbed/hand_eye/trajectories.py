@@ -6,7 +6,6 @@ those already taken.
 """
 
 import math
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,20 +15,27 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
-from testbed.hand_eye.pose_text import PoseLine, file_text, numbers, pose_lines, rotation_of_quaternion
+from testbed.hand_eye.pose_text import (
+    W_FIRST,
+    W_LAST,
+    PoseLine,
+    heading,
+    numbers,
+    pose_lines,
+    rotation_of_quaternion,
+    unit_scale,
+)
 from testbed.reporting.console import out
 from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
+from vision_pc.core.hand_eye.samples import PosePairs, check_pose, distinct, pose_pairs
 from vision_pc.core.se3 import Array
 from vision_pc.shell.cameras.capture_times import unix_seconds
 
 _COPIES = 4  # [D] lines of one time, on average, that are believed
 _SAME_S = 1e-5  # two stamps of one moment, whatever the clock counts from: a double's step is 2e-7 s in 2026
-_W_FIRST = re.compile(r"(?i)(?:\bq|orientation)[\w.]*w\b.*(?:\bq|orientation)[\w.]*x\b")
 _EUROC = 17  # time, position, quaternion w first, velocity and the inertial unit's offsets
 _KITTI = 12  # a pose's upper three rows, without a time
-_SKEW = 1e-3  # how far what a file calls a rotation may be from one
 _RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses
 
 
@@ -42,18 +48,20 @@ class Trajectory(NamedTuple):
 
 # At least so far apart are the moments that are chosen, and at most so many.
 _SPACING_DEG, _SPACING_M, _MOST = 5.0, 0.05, 60
-_LONGEST_S = 0.1  # stretch of the hand's recording over which its pose is interpolated
+# Stretch of the hand's recording over which its pose is interpolated, s; [D] of the median time between new
+# poses, and s: a hand that keeps one for longer rests.
+_LONGEST_S, _HELD, _REST_S = 0.1, 1.5, 0.5
 
 
 def load_tum(path: Path, normalise: bool = False, times_s: Array | None = None) -> Trajectory:
     """A trajectory file: lines ``t x y z qx qy qz qw`` (s or a Unix time of any unit, m) as ``pose_lines``
-    has them; a header that names q_w before q_x gives their order, as do EuRoC's 17 columns of ground truth.
+    has them; a heading gives the columns' order and unit, as do EuRoC's 17 columns of ground truth.
 
     Or KITTI's 12 columns, a line for each of ``times_s``. Lines are put in order of time, and of lines with
     the same time the first is kept. Raises RequestRefused naming the line.
     """
     times, poses = [], []
-    w_first = bool(_W_FIRST.search(file_text(path)))
+    columns, length = heading(path)
     lines = pose_lines(path)
     if lines and len(lines[0].words) == _KITTI:
         return _of_kitti(path, lines, times_s)
@@ -61,9 +69,9 @@ def load_tum(path: Path, normalise: bool = False, times_s: Array | None = None) 
         euroc = len(line.words) == _EUROC
         values = numbers(line.words[:8] if euroc else line.words, 8, line.where)
         times.append(values[0])
-        order = [4, 5, 6, 7] if w_first or euroc else [7, 4, 5, 6]
-        R = rotation_of_quaternion(values[order], line.where, normalise)
-        poses.append(stacks.transform(R, values[1:4]))
+        pose = values[1:][columns or (W_FIRST if euroc else W_LAST)]
+        R = rotation_of_quaternion(pose[3:], line.where, normalise)
+        poses.append(stacks.transform(R, unit_scale(length or "m") * pose[:3]))
     if len(times) < 3:
         raise RequestRefused(
             "refused.hand_eye.count", f"{path.name}: {len(times)} poses, at least 3 are needed"
@@ -84,17 +92,12 @@ def _of_kitti(path: Path, lines: list[PoseLine], times_s: Array | None) -> Traje
     """
     if times_s is None or len(times_s) != len(lines):
         many = "no pictures" if times_s is None else f"{len(times_s)} pairs"
-        why = (
-            f"{path.name}: {len(lines)} poses of 12 columns, as KITTI's without times, beside {many}: as many"
-        )
+        why = f"{path.name}: {len(lines)} poses of 12 columns, as KITTI's, beside {many}: as many"
         raise RequestRefused("refused.hand_eye.count", f"{why} are wanted, or TUM's t x y z qx qy qz qw")
     X = np.tile(np.eye(4), (len(lines), 1, 1))
     X[:, :3] = [numbers(line.words, _KITTI, line.where).reshape(3, 4) for line in lines]
-    R = X[:, :3, :3]
-    skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-2, -1)) + (np.linalg.det(R) < 0.0)
-    if skew.max() > _SKEW:
-        why = f"{lines[int(skew.argmax())].where}: rotation is off a right-handed orthonormal one by"
-        raise RequestRefused("refused.hand_eye.not_orthonormal", f"{why} {skew.max():.2g}, limit {_SKEW:g}")
+    for line, pose in zip(lines, X, strict=True):
+        check_pose(pose, line.where, math.inf)
     return Trajectory(times_s, X)
 
 
@@ -110,7 +113,7 @@ def pair(
 
     Raises RequestRefused: ``refused.hand_eye.count`` when the recordings do not overlap.
     """
-    options = options or ImportOptions()
+    hand, options = _fresh(hand), options or ImportOptions()
     offset = estimated_offset(hand, camera) if offset_s is None else offset_s
     times = camera.time_s + offset
     after = np.clip(np.searchsorted(hand.time_s, times), 1, len(hand.time_s) - 1)
@@ -123,14 +126,24 @@ def pair(
     if usable.sum() < 3:
         raise RequestRefused(
             "refused.hand_eye.count",
-            f"only {int(usable.sum())} camera poses have a hand pose within {_LONGEST_S:g} s; "
-            "check the clocks or give an offset",
+            f"only {int(usable.sum())} camera poses have a hand pose within {_LONGEST_S:g} s; it is new every"
+            f" {float(np.median(np.diff(hand.time_s))):.2g} s; check the clocks or give an offset",
         )
     X_BT = interpolated(hand, times[usable])
     X_CP = stacks.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
     chosen = _choose_moments(times[usable], X_BT, X_CP)
-    names = tuple(f"t={camera.time_s[usable][k]:.3f}" for k in chosen)
-    return pose_pairs(X_BT[chosen], X_CP[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
+    setup, times = options.setup or Setup.EYE_IN_HAND, camera.time_s[usable][chosen]
+    return pose_pairs(X_BT[chosen], X_CP[chosen], setup, tuple(f"t={t:.3f}" for t in times)), offset
+
+
+def _fresh(hand: Trajectory) -> Trajectory:
+    """``hand`` without the poses of a robot that tells new ones more slowly than they were recorded: between
+    them it was elsewhere. Where it rests, poses stay.
+    """
+    new = np.append(True, np.any(hand.X[1:] != hand.X[:-1], axis=(1, 2)))
+    held_s = np.diff(hand.time_s[new], append=hand.time_s[-1])
+    rests = held_s > min(_HELD * float(np.median(held_s)), _REST_S)
+    return Trajectory(*(part[new | rests[np.cumsum(new) - 1]] for part in hand))
 
 
 def interpolated(trajectory: Trajectory, times: Array) -> Array:
@@ -152,17 +165,16 @@ def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Arr
 def _choose_moments(times: Array, X_BT: Array, X_CP: Array) -> NDArray[np.intp]:
     """Indices of the moments to use, in order of time."""
     if 1.0 / float(np.median(np.diff(times))) < _RECORDING_HZ:
-        return np.arange(len(times))
+        return np.flatnonzero(distinct(X_BT, X_CP))
     spin_h, move_h = _speeds(times, X_BT)
     spin_c, move_c = _speeds(times, X_CP)
-    limit = math.radians(_SPACING_DEG)
-    restless = (spin_h + spin_c) / limit + (move_h + move_c) / _SPACING_M
+    restless = (spin_h + spin_c) / math.radians(_SPACING_DEG) + (move_h + move_c) / _SPACING_M
     taken: list[int] = []
     for k in np.argsort(restless, kind="stable"):
         others = X_BT[taken]
         turned = stacks.angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BT[k, :3, :3])
         moved = np.linalg.norm(others[:, :3, 3] - X_BT[k, :3, 3], axis=-1)
-        if ((turned > limit) | (moved > _SPACING_M)).all():
+        if ((turned > math.radians(_SPACING_DEG)) | (moved > _SPACING_M)).all():
             taken.append(int(k))
         if len(taken) == _MOST:
             break
@@ -176,10 +188,9 @@ def estimated_offset(hand: Trajectory, camera: Trajectory, longest_s: float = 2.
     turned in 0.7 s, which must be equal, decide to a millisecond: their mean squared difference is a
     parabola in the offset.
     """
-    step = 0.005
     spin_h = _speeds(hand.time_s, hand.X)[0]
     spin_c = _speeds(camera.time_s, camera.X)[0]
-    offsets = np.arange(-longest_s, longest_s + step, step)
+    offsets = np.arange(-longest_s, longest_s + 0.005, 0.005)
     scores = np.full(len(offsets), -1.0)
     for k, offset in enumerate(offsets):
         times = camera.time_s + offset
@@ -206,8 +217,8 @@ def _angle_mismatch(hand: Trajectory, camera: Trajectory, offset: float, lag_s: 
     times = camera.time_s + offset
     inside = (times >= hand.time_s[0]) & (times <= hand.time_s[-1])
     lag = max(1, int(lag_s / float(np.median(np.diff(camera.time_s)))))
-    turned = []
-    for X in (interpolated(hand, times[inside]), camera.X[inside]):
-        R = X[:, :3, :3]
-        turned.append(stacks.angle(np.swapaxes(R[:-lag], -1, -2) @ R[lag:]))
+    turned = [
+        stacks.angle(np.swapaxes(X[:-lag, :3, :3], -1, -2) @ X[lag:, :3, :3])
+        for X in (interpolated(hand, times[inside]), camera.X[inside])
+    ]
     return float(np.mean((turned[0] - turned[1]) ** 2))

@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import Any
 
 from foundation.recording.beginning import session_entries
 from testbed.recordings.comparison import ALIKE, ReplayComparison
@@ -30,19 +29,14 @@ def run_replay(file: Path, truth: Path | None = None, json_file: Path | None = N
     _show_compared(compared, recording)
     for damage in replay.damages:
         out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
-    results = {"recorded_s": replay.recorded_s, "cpu_s": took_s, "pixels": made} | _results(compared)
-    write_json(json_file, results | {"damages": [damage._asdict() for damage in replay.damages]})
-    return compared.identical and not replay.damages
-
-
-def _results(compared: ReplayComparison) -> dict[str, Any]:
-    return {
-        "exact": compared.exact,
-        "alike": dict(compared.alike),
-        "of": dict(compared.of),
-        "largest_difference": compared.largest,
+    results = {
+        "recorded_s": replay.recorded_s, "cpu_s": took_s, "pixels": made, "exact": compared.exact,
+        "alike": dict(compared.alike), "of": dict(compared.of), "largest_difference": compared.largest,
         "first_difference": None if compared.first is None else compared.first._asdict(),
-    }
+        "damages": [damage._asdict() for damage in replay.damages],
+    }  # fmt: skip
+    write_json(json_file, results)
+    return compared.identical and not replay.damages
 
 
 def _show_compared(compared: ReplayComparison, recording: RecordedVision) -> None:

@@ -92,7 +92,8 @@ class PerceptionReplay:
         frames: list[Any] = []  # wait for their pictures, which follow them
         for topic, record in messages(self._recording.path, _CLASSES, self.damages):
             if topic in topics.IMAGES:
-                self._image(topic, record.data)
+                if isinstance(self._pixels, KeptPixels) and self._recording.images == "raw":
+                    self._pixels.add(topics.IMAGES.index(topic), RawImage.FromString(record.data))
                 continue
             item = _CLASSES[topic].FromString(record.data)
             if topic == topics.FRAME:
@@ -104,10 +105,6 @@ class PerceptionReplay:
             first_ns = first_ns or record.log_time
             self.recorded_s = 1e-9 * (record.log_time - first_ns)
         return self.comparison
-
-    def _image(self, topic: str, data: bytes) -> None:
-        if isinstance(self._pixels, KeptPixels) and self._recording.images == "raw":
-            self._pixels.add(topics.IMAGES.index(topic), RawImage.FromString(data))
 
     def _frame(self, item: Any) -> None:
         stamp = RecordedStamp(*(getattr(item, name) for name in RecordedStamp._fields))

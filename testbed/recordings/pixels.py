@@ -61,7 +61,8 @@ class RenderedPixels:
         """
         recording = read_truth(truth)
         config = SceneConfig.model_validate(recording.run.get("scene", {}))
-        faults = [(record, _fault(record.fault)) for record in recording.faults if _is_ours(record.fault)]
+        ours = (record for record in recording.faults if record.fault.get("kind") in FAULTS)
+        faults = [(record, _fault(record.fault)) for record in ours]  # others act on no picture
         exposures = Exposures(config.camera, config.seed)
         self._shots: dict[int, Shot] = {}
         for record in recording.truths:
@@ -98,11 +99,6 @@ def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...
     stamped = (("left", stamp.crc_left, eyes[0]), ("right", stamp.crc_right, eyes[1]))
     found = ((name, crc, zlib.crc32(np.ascontiguousarray(picture).data)) for name, crc, picture in stamped)
     return tuple(each for each in found if each[1] != each[2])
-
-
-def _is_ours(recorded: Mapping[str, Any]) -> bool:
-    """Whether it may act on pictures: one of your own acts on valves, encoders, pump, load alone."""
-    return recorded.get("kind") in FAULTS
 
 
 def _fault(recorded: Mapping[str, Any]) -> Fault:

@@ -121,6 +121,12 @@ def nothing_half_made() -> Iterator[None]:
         raise
 
 
+def noted(lines: Iterable[str]) -> None:
+    """Print what a person must know beside the results, a line each."""
+    for line in lines:
+        out.print(line, style="yellow", highlight=False, soft_wrap=True)
+
+
 def writable(path: Path | None) -> Path | None:
     """``path``, to which a file can be written later. Raises ConfigurationError now, not after the work."""
     if path is not None:

@@ -27,22 +27,8 @@ pytestmark = pytest.mark.slow("ten thousand files")
 Mistake = tuple[str, str]
 """What was done, and the file's text then."""
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?(?![\w.])")
-NO_NUMBERS = (
-    "nan",
-    ".nan",
-    "inf",
-    "0x10",
-    "5,0",
-    "\uff15.0",
-    "true",
-    "1_0",
-    "1e",
-    "--1",
-    "1:30",
-    "''",
-    "[1]",
-    "1'000",
-)
+NO_NUMBERS = ("nan", ".nan", "inf", "0x10", "5,0",
+              "\uff15.0", "true", "1_0", "1e", "--1", "1:30", "''", "[1]", "1'000")  # fmt: skip
 
 
 def in_numbers(text: str) -> Iterator[Mistake]:
@@ -58,16 +44,10 @@ def in_numbers(text: str) -> Iterator[Mistake]:
 def in_lists(text: str) -> Iterator[Mistake]:
     """Every list with one item too many, too few, twice."""
     for found in re.finditer(r"\[([^\[\]]*,[^\[\]]*)\]", text):
-        items = found[1].split(",")
-        for what, wrong in (
-            ("too many", [*items, " 0.5"]),
-            ("too few", items[:-1]),
-            ("twice", [items[0], *items]),
-        ):
-            yield (
-                f"{found[0][:20]} {what}",
-                f"{text[: found.start()]}[{','.join(wrong)}]{text[found.end() :]}",
-            )
+        items, head, tail = found[1].split(","), text[: found.start()], text[found.end() :]
+        wrong = {"too many": [*items, " 0.5"], "too few": items[:-1], "twice": [items[0], *items]}
+        for what, list_ in wrong.items():
+            yield f"{found[0][:20]} {what}", f"{head}[{','.join(list_)}]{tail}"
 
 
 def in_lines(text: str) -> Iterator[Mistake]:
@@ -216,8 +196,13 @@ def test_kittis_matrices_written_otherwise(tmp_path: Path) -> None:
         )
         return "" if same and np.isclose(camera.right.X_CE[0, 3], 0.3) else "read as another camera"
 
-    cameras.write(path, KITTI)
-    assert read() == ""
+    for good in (KITTI, KITTI.replace("P", "P_rect_0")):  # the second as in KITTI's raw data
+        cameras.write(path, good)
+        assert read() == ""
+    for other, told in (("-126 0 421 189.5", r"P1's cy = 189\.5: 199\.5"), ("-126 9 421 199.5", "in rows")):
+        cameras.write(path, KITTI.replace("-126 0 421 199.5", other))
+        with pytest.raises(LongreachError, match=told):
+            read()
     units = [(f"P1[3] {word}", KITTI.replace("-126", word)) for word in ("-0.3", "126", "0", "-126000")]
     mistakes = [*in_numbers(KITTI), *in_lines(KITTI), *units]
     wrong = []
@@ -244,18 +229,23 @@ def written_poses() -> Iterator[tuple[str, str]]:
         for heading in ("", "# ", "plain"):
             for minus in ("-", "\u2212"):
                 for ends in ("\n", "\r\n"):
-                    head = (
-                        ""
-                        if not heading
-                        else ("" if heading == "plain" else heading) + between.join(names) + ends
-                    )
+                    head = heading and heading.replace("plain", "") + between.join(names) + ends
                     lines = [between.join(f"{v:.9f}" for v in row).replace("-", minus) for row in rows]
                     yield f"{between!r} {heading!r} {minus} {ends!r}", head + ends.join(lines) + ends
         head = between.join([*names[:4], "qw", "qx", "qy", "qz"])
         lines = [between.join(f"{v:.9f}" for v in row) for row in swapped]
         yield f"{between!r}, w first", "\n".join([head, *lines, ""])
-    yield "decimal commas", "\n".join(";".join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
-    yield "remarks", "\n".join("# a remark\n" + " ".join(f"{v:.9f}" for v in row) + " # so" for row in rows)
+        columns = ["t", "rot_w", "rot_x", "rot_y", "rot_z", "p_x", "p_y", "p_z"]
+        lines = [between.join(f"{v:.9f}" for v in row) for row in rows[:, [0, 7, 4, 5, 6, 1, 2, 3]]]
+        yield f"{between!r}, rotation first", "\n".join([between.join(columns), *lines, ""])
+    for x in ("x_mm", "x [mm]", "pos_x(mm)"):
+        head = ",".join(["t", *(x.replace("x", axis, 1) for axis in "xyz"), "q.x", "q.y", "q.z", "q.w"])
+        lines = [",".join(f"{v:.9f}" for v in row) for row in rows * [1, 1e3, 1e3, 1e3, 1, 1, 1, 1]]
+        yield x, "\n".join([head, *lines])
+    for words, between in (("commas, blanks", "  "), ("decimal commas", ";")):
+        yield words, "\n".join(between.join(f"{v:.9f}".replace(".", ",") for v in row) for row in rows)
+    for words, first, between, last in (("quoted", '"', '","', '"'), ("remarks", "# so\n", " ", " # so")):
+        yield words, "\n".join(first + between.join(f"{v:.9f}" for v in row) + last for row in rows)
     euroc = np.column_stack([swapped, np.zeros((5, 9))])
     yield "EuRoC", "\n".join(",".join(f"{v:.9f}" for v in row) for row in euroc)
 
@@ -266,19 +256,15 @@ def test_poses_written_otherwise(tmp_path: Path) -> None:
 
     def read() -> str:
         X = load_tum(path).X
-        same = (
-            len(X) == 5
-            and np.allclose(X[:, :3, 3], true[:, :3], atol=1e-8)
-            and np.allclose(X[:, :3, :3], R, atol=1e-7)
-        )
+        same = len(X) == 5 and np.allclose(X[:, :3, 3], true[:, :3], atol=1e-8)
+        same = same and np.allclose(X[:, :3, :3], R, atol=1e-7)
         return "" if same else f"read as {X[:, :3, 3].tolist()}"
 
     wrong, count = [], 0
     for k, (words, text) in enumerate(written_poses()):
         count += 1
         path.write_text(text, "utf-8")
-        read_rightly = read()
-        wrong += [f"{words}: {read_rightly}"] if read_rightly else []
+        wrong += [f"{words}: {why}"] if (why := read()) else []
         for what, bad in (*in_numbers(text), *in_lines(text)) if k % 9 == 0 else ():
             if what.endswith("is [1]"):
                 continue  # brackets are a way of writing poses
@@ -321,22 +307,32 @@ def test_kittis_poses_written_otherwise(tmp_path: Path) -> None:
             load_tum(path, times_s=none)
 
 
+KUKA = "X {}, Y {}, Z {}, A {}, B {}, C {}"
+ABB = "[[{}, {}, {}], [{}, {}, {}, {}], [0, -1, 0, 0], [9E+09, 9E+09, 9E+09, 9E+09, 9E+09, 9E+09]]"
+
+
 @pytest.mark.parametrize(
     ("form", "line"),
-    [(PoseForm.UR, "p[{}, {}, {}, {}, {}, {}]"), (PoseForm.KUKA, "{{X {}, Y {}, Z {}, A {}, B {}, C {}}}"),
-     (PoseForm.EULER, "[[{}, {}, {}], [{}, {}, {}]]")],
+    [(PoseForm.UR, "p[{}, {}, {}, {}, {}, {}]"), (PoseForm.KUKA, f"{{{{{KUKA}}}}}"),
+     (PoseForm.EULER, "[[{}, {}, {}], [{}, {}, {}]]"), (PoseForm.ABB, ABB),
+     (PoseForm.ABB, f"  LOCAL CONST robtarget p10:={ABB};"),
+     (PoseForm.UR, "global seen_p=p[{}, {}, {}, {}, {}, {}]"),
+     (PoseForm.KUKA, f"{{{{E6POS: {KUKA}, S 2, T 35, E1 0.0, E2 0.0, E3 0.0, E4 0.0, E5 0.0, E6 0.0}}}}"),
+     (PoseForm.KUKA, f"DECL E6POS XP1={{{{{KUKA},S 6,T 27,E1 0.0}}}}"),
+     (PoseForm.KUKA, f"{{{{FRAME: {KUKA}}}}}"),
+     (PoseForm.KUKA, KUKA.replace(" {", "={"))],
 )  # fmt: skip
-def test_what_robots_print_is_read(form: PoseForm, line: str, tmp_path: Path) -> None:
-    angles = [0.3, -0.2, 0.1] if form is PoseForm.UR else [30.0, -20.0, 10.0]
-    values = [*(1e3 if form is PoseForm.KUKA else 1.0) * np.array([0.5, -0.25, 1.0]), *angles]
-    for text in (line.format(*values), " ".join(map(str, values))):
-        (tmp_path / "poses.txt").write_text(f"{text}\n{text}\n", "utf-8")
+@pytest.mark.parametrize("name", ["", "a.png ", '"a.png",', "a.png: "])
+def test_what_robots_print_is_read(form: PoseForm, line: str, name: str, tmp_path: Path) -> None:
+    turn = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True)
+    angles = {PoseForm.UR: turn.as_rotvec(), PoseForm.ABB: turn.as_quat()[[3, 0, 1, 2]]}
+    values = [*np.array([0.5, -0.25, 1.0]) * (1e3 if form in (PoseForm.KUKA, PoseForm.ABB) else 1.0),
+              *angles.get(form, [30.0, -20.0, 10.0])]  # fmt: skip
+    text = line.format(*map(float, values))
+    named = name and text[0] in "p{[X"  # a declaration has its own name
+    for written in (text, " ".join(map(str, map(float, values)))):
+        (tmp_path / "poses.txt").write_text(2 * f"{name if named else ''}{written}\n", "utf-8")
         found = read_robot_poses(tmp_path / "poses.txt", form)
-        assert found.names is None
+        assert found.names == (("a.png", "a.png") if named else None)
         np.testing.assert_allclose(found.X_BT[0, :3, 3], (0.5, -0.25, 1.0))
-        turn = (
-            Rotation.from_rotvec(values[3:])
-            if form is PoseForm.UR
-            else Rotation.from_euler("ZYX", values[3:], True)
-        )
         np.testing.assert_allclose(found.X_BT[0, :3, :3], turn.as_matrix(), atol=1e-12)

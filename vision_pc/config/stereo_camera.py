@@ -17,7 +17,8 @@ _LEAST_BASELINE_M, _LARGEST_BASELINE_M = 0.005, 2.0
 _LARGEST_TURN_DEG = 45.0
 
 Vector3 = tuple[float, float, float]
-Focal = Annotated[float, Field(ge=50.0, le=20_000.0)]
+FOCAL_PX = (50.0, 20_000.0)  # [D] from a fisheye in a small picture to a telephoto lens in a large one
+Focal = Annotated[float, Field(ge=FOCAL_PX[0], le=FOCAL_PX[1])]
 Place = Annotated[float, Field(ge=-8192.0, le=16_384.0)]
 
 

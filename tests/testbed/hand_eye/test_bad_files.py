@@ -62,8 +62,12 @@ def _with(side: str, change: Callable[[Array], Array]) -> Callable[[Document], D
     return spoil
 
 
-def _lengths(factor: float) -> Callable[[Array], Array]:
+def _lengths(factor: float | Array) -> Callable[[Array], Array]:
     return lambda X: stacks.transform(X[:, :3, :3], factor * X[:, :3, 3])
+
+
+def _half(X: Array) -> Array:
+    return stacks.transform(X[:, :3, :3], stacks.inverse(X)[:, :3, 3])
 
 
 def _shifted(good: Document) -> Document:
@@ -96,6 +100,7 @@ def _unrelated(good: Document) -> Document:
     return _with("camera", lambda X: X[order])(good)
 
 
+_LOW = np.array([1.0, 1.0, 1e-3])
 _REFUSED, _FAILED = "refused.hand_eye.", "measurement.hand_eye."
 _MISREAD, _SCALE, _FEW = _FAILED + "misread", _FAILED + "scale", _FAILED + "too_few_samples"
 _HAND, _CAMERA = "hand", "camera"
@@ -107,6 +112,9 @@ BAD_FILES = (
     BadFile("poses that do not belong together", _unrelated, _FAILED + "motions_differ", "belong"),
     BadFile("sides shifted by one", _shifted, _MISREAD, "shifted by one"),
     BadFile("the other setup", _set("setup", value="eye-to-hand"), _MISREAD, "the setup is eye-in-hand"),
+    BadFile("camera half inverted", _with(_CAMERA, _half), _MISREAD, "camera positions are inverted and"),
+    BadFile("hand half inverted", _with(_HAND, _half), _MISREAD, "hand positions are inverted and rotations"),
+    BadFile("height in mm", _with(_HAND, _lengths(_LOW)), _FAILED + "noise", "rotations fit and positions"),
     BadFile("camera in m, taken for mm", _with(_CAMERA, _lengths(1e-3)), _SCALE, "in m beside a hand in mm"),
     BadFile("camera 25.4 times too small", _with(_CAMERA, _lengths(1.0 / 25.4)), _SCALE, "inches"),
     BadFile("square said 10 % too large", _with(_CAMERA, _lengths(1.1)), _SCALE, "another size"),

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.errors import ConfigurationError, MeasurementFailed, RequestRefused
 from testbed.choices import PoseForm
 from testbed.hand_eye import picture_samples
 from testbed.hand_eye.importer import load
@@ -81,6 +81,10 @@ def test_forms_of_other_programs_are_read(tmp_path: Path) -> None:
     [
         ("c.json", '{"A": [], "B": []}', "has A, B; a list of pose pairs or an object with"),
         ("d.yaml", "a: [", "not YAML"),
+        ("e.json", '{"length_unit": "m", "length_unit": "mm"}', "key 'length_unit' is written twice"),
+        ("f.json", '{"samples": [\n1,\n]}', r"not JSON: line 3, column 1: '\]}' is unexpected"),
+        ("g.json", '{"samples": [', "not JSON: line 1, column 14: the end is unexpected"),
+        ("h.json", json.dumps([[np.eye(4).tolist(), [[1, 0, 0, 0]] * 3 + [[1] * 4]]]), "by columns"),
     ],
 )
 def test_what_is_not_read_is_told_by_what_stands_there(
@@ -98,34 +102,27 @@ def reread(hand: Array, how: Any) -> Array:
     return made
 
 
+FIXED = "roll pitch yaw about fixed axes"
+
+
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        (
-            lambda R: Rotation.from_euler("ZYX", R.as_euler("xyz")),
-            "roll pitch yaw about fixed axes, read as Z Y X",
-        ),
-        (
-            lambda R: Rotation.from_euler("XYZ", R.as_euler("xyz")),
-            "roll pitch yaw about fixed axes, read as X Y Z",
-        ),
+        (lambda R: Rotation.from_euler("ZYX", R.as_euler("xyz")), f"{FIXED}, read as Z Y X"),
+        (lambda R: Rotation.from_euler("XYZ", R.as_euler("xyz")), f"{FIXED}, read as X Y Z"),
         (lambda R: Rotation.from_euler("xyz", R.as_rotvec()), "a rotation vector, read as roll pitch yaw"),
-        (
-            lambda R: Rotation.from_rotvec(R.as_euler("xyz")),
-            "roll pitch yaw about fixed axes, read as a rotation vector",
-        ),
+        (lambda R: Rotation.from_rotvec(R.as_euler("xyz")), f"{FIXED}, read as a rotation vector"),
         (lambda R: Rotation.from_euler("xyz", np.radians(R.as_euler("xyz"))), "radians, read as degrees"),
-        (
-            lambda R: Rotation.from_rotvec(np.radians(R.as_rotvec())),
-            "radians, read as degrees of a rotation vector",
-        ),
+        (lambda R: Rotation.from_rotvec(np.radians(R.as_rotvec())), "as degrees of a rotation vector"),
         (lambda R: Rotation.from_euler("ZYX", R.as_euler("ZYZ")), "Z Y Z, read as Z Y X"),
     ],
 )
-def test_a_convention_mistaken_is_named(how: Any, words: str) -> None:
+@pytest.mark.parametrize("side", ["hand", "camera"])
+def test_a_convention_mistaken_is_named(how: Any, words: str, side: str) -> None:
     hand, camera = samples()
-    with pytest.raises(MeasurementFailed) as refused:
-        judgement.believed(pose_pairs(reread(hand, how), camera), Method.MAXIMUM_LIKELIHOOD)
+    mistaken = (reread(hand, how), camera) if side == "hand" else (hand, reread(camera, how))
+    with pytest.raises(MeasurementFailed, match=f"likely.* {side} rotations") as refused:
+        judgement.believed(pose_pairs(*mistaken), Method.MAXIMUM_LIKELIHOOD)
     assert refused.value.cause == "measurement.hand_eye.misread"
     assert words in str(refused.value)
     assert "quaternions" not in str(refused.value)
@@ -142,6 +139,23 @@ def test_angles_in_radians_are_asked_about_and_can_be_read(tmp_path: Path) -> No
         read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER)
     found = read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
     np.testing.assert_allclose(found.X_BT, hand, atol=1e-9)
+    (tmp_path / "poses.txt").write_text("0.5 0 1 0 0 170\n")
+    with pytest.raises(RequestRefused, match="angle is 170, radians are wanted; are they degrees"):
+        read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
+
+
+@pytest.mark.parametrize("form", [PoseForm.QUATERNION_XYZW, PoseForm.QUATERNION_WXYZ])
+@pytest.mark.parametrize("last", ["qx qy qz qw", "qw qx qy qz"])
+def test_a_heading_tells_the_order_and_unit_of_columns(tmp_path: Path, form: PoseForm, last: str) -> None:
+    hand, _ = samples(4)
+    turns = np.roll(Rotation.from_matrix(hand[:, :3, :3]).as_quat(), int(last[1] == "w"), axis=1)
+    rows = np.column_stack([1e3 * hand[:, :3, 3], turns])
+    lines = [" ".join(f"{v:.12f}" for v in row) for row in rows]
+    (tmp_path / "poses.txt").write_text("\n".join([f"x_mm y_mm z_mm {last}", *lines]))
+    np.testing.assert_allclose(read_robot_poses(tmp_path / "poses.txt", form).X_BT, hand, atol=1e-9)
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    with pytest.raises(RequestRefused, match=r"line 1: translation .* in millimetres"):
+        read_robot_poses(tmp_path / "poses.txt", form)
 
 
 def test_poses_are_not_interpolated_over_gaps_whatever_the_clock_counts_from() -> None:
@@ -153,6 +167,17 @@ def test_poses_are_not_interpolated_over_gaps_whatever_the_clock_counts_from() -
         for zero in (0.0, 1.7e9)
     ]
     assert len(known[0]) == len(known[1]) == 16
+
+
+@pytest.mark.parametrize("hold", [1, 2, 3])
+def test_of_a_pose_that_a_hand_repeats_on_its_way_the_first_is_taken(hold: int) -> None:
+    hand, camera = samples(60)
+    times, late, new = 0.04 * np.arange(60), np.arange(60) // hold * hold, np.arange(0, 60, hold)
+    pairs, _ = pair(Trajectory(times, hand[late]), Trajectory(times, camera))
+    for name, X in zip(pairs.names, pairs.X_BT, strict=True):
+        k = round(float(name[2:]) / 0.04)
+        place = [np.interp(k, new, hand[new, axis, 3]) for axis in range(3)]
+        np.testing.assert_allclose(X[:3, 3], place if k < new[-1] else hand[late[k], :3, 3], atol=1e-9)
 
 
 def test_a_recording_in_nanoseconds_is_one_in_seconds(tmp_path: Path) -> None:
@@ -175,12 +200,9 @@ distortion_coefficients: {rows: 1, cols: COUNT, data: [COEFFICIENTS]}
 
 @pytest.mark.parametrize(
     ("model", "coefficients"),
-    [
-        ("plumb_bob", "0.1, 0, 0, 0, 0"),
-        ("rational_polynomial", "0.1, 0, 0, 0, 0, 0.02, 0, 0"),
-        ("fisheye", "0.1, 0, 0, 0"),
-    ],
-)
+    [("plumb_bob", "0.1, 0, 0, 0, 0"), ("rational_polynomial", "0.1, 0, 0, 0, 0, 0.02, 0, 0"),
+     ("fisheye", "0.1, 0, 0, 0")],
+)  # fmt: skip
 def test_the_file_of_one_camera_is_enough(tmp_path: Path, model: str, coefficients: str) -> None:
     text = ONE_EYE.replace("MODEL", model).replace("COEFFICIENTS", coefficients)
     text = text.replace("COUNT", str(coefficients.count(",") + 1))
@@ -205,8 +227,14 @@ def test_opencvs_file_of_one_camera_takes_the_size_of_the_pictures(tmp_path: Pat
     (tmp_path / "eye.yml").write_text(
         text + "   rows: 5\n   cols: 1\n   dt: d\n   data: [0., 0., 0., 0., 0.]\n"
     )
-    found = picture_samples.read_camera(tmp_path / "eye.yml", (640, 480))
-    assert found.size == (640, 480)
+    assert picture_samples.read_camera(tmp_path / "eye.yml", (1280, 720)).size == (1280, 720)
+    eye = {"K": [[900, 0, 640], [0, 900, 360], [0, 0, 1]], "distortion": [0] * 5}
+    (tmp_path / "eye.json").write_text(json.dumps(eye))
+    (tmp_path / "mm.json").write_text(json.dumps(eye | {"K": [[8, 0, 640], [0, 8, 360], [0, 0, 1]]}))
+    for name, told in (("eye.yml", "of pictures of 640x480"), ("eye.json", "of pictures of 640x480"),
+                       ("mm.json", r"mm\.json: fx = 8\.0: .* in millimetres")):  # fmt: skip
+        with pytest.raises(ConfigurationError, match=told):
+            picture_samples.read_camera(tmp_path / name, (640, 480))
 
 
 @pytest.mark.parametrize("orders", [("xyz", "YZX"), ("xyz", "XZY")])

@@ -26,42 +26,20 @@ def scene() -> HandEyeScene:
 
 
 def written(X: Array, form: str) -> Any:
-    q = stacks.quaternion_from_rotation(X[None, :3, :3])[0]
-    p = X[:3, 3].tolist()
-    return {
-        "matrix": X.tolist(),
-        "q_wxyz": {"p": p, "q_wxyz": q.tolist()},
-        "q_xyzw": {"p": p, "q_xyzw": q[[1, 2, 3, 0]].tolist()},
-        "rotation_vector_rad": {
-            "p": p,
-            "rotation_vector_rad": stacks.log_so3(X[None, :3, :3])[0].tolist(),
-        },
-        "rotation_vector_deg": {
-            "p": p,
-            "rotation_vector_deg": np.degrees(stacks.log_so3(X[None, :3, :3])[0]).tolist(),
-        },
-        "R": {"p": p, "R": X[:3, :3].tolist()},
-    }[form]
+    q, v = stacks.quaternion_from_rotation(X[None, :3, :3])[0], stacks.log_so3(X[None, :3, :3])[0]
+    turns = {"q_wxyz": q, "q_xyzw": q[[1, 2, 3, 0]], "R": X[:3, :3],
+             "rotation_vector_rad": v, "rotation_vector_deg": np.degrees(v)}  # fmt: skip
+    return X.tolist() if form == "matrix" else {"p": X[:3, 3].tolist(), form: turns[form].tolist()}
 
 
 def document(scene: HandEyeScene, form: str = "q_wxyz") -> dict[str, Any]:
     samples = [
-        {
-            "name": f"s{k}",
-            "hand": written(H, form),
-            "camera": written(P, form),
-            "settled": True,
-            "marker_id": 582,
-        }
+        {"name": f"s{k}", "hand": written(H, form), "camera": written(P, form), "settled": True}
+        | {"marker_id": 582}
         for k, (H, P) in enumerate(zip(scene.X_BT, scene.P(), strict=True))
     ]
-    return {
-        "format": FORMAT,
-        "setup": "eye-in-hand",
-        "length_unit": "m",
-        "marker_id": 582,
-        "samples": samples,
-    }
+    head = {"format": FORMAT, "setup": "eye-in-hand", "length_unit": "m", "marker_id": 582}
+    return {**head, "samples": samples}
 
 
 def saved(tmp_path: Path, data: Any) -> Path:

@@ -1,5 +1,6 @@
 """ATE, RPE, scale and drift of trajectories whose errors are known."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from protocol.errors import ConfigurationError, RequestRefused
 from testbed.hand_eye.trajectories import load_tum
 from testbed.reporting.trajectory_errors import errors_of_maps, trajectory_errors
 from vision_pc.core import se3
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
 
@@ -64,14 +66,34 @@ def test_a_truth_in_another_reading_is_named() -> None:
             ConfigurationError, match=r"t: RPE .* mm if its rotations are of a camera with axes"
         ):
             trajectory_errors(noisy, times_s, written, f"t{k}"[:1])
-    with pytest.raises(ConfigurationError, match="of the world in the camera"):
-        trajectory_errors(noisy, times_s, np.linalg.inv(true), "t")
-    q = np.roll(Rotation.from_matrix(true[:, :3, :3]).as_quat(), 1, axis=1)  # w x y z, taken for x y z w
-    wrong = np.stack(
-        [se3.transform(R, X[:3, 3]) for R, X in zip(Rotation.from_quat(q).as_matrix(), true, strict=True)]
+    R, p = true[:, :3, :3], true[:, :3, 3]
+    rolled = Rotation.from_quat(
+        np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
+    )  # w first, taken for last
+    mirror, aside = (
+        np.diag([1.0, -1.0, 1.0, 1.0]),
+        se3.transform(se3.exp_so3([0.2, -0.1, 1.5]), (0.1, 0.2, -0.3)),
     )
-    with pytest.raises(ConfigurationError, match="quaternions are w"):
-        trajectory_errors(noisy, times_s, wrong, "t")
+    for written, words in (
+        (np.linalg.inv(true), "of the world in the camera"),
+        (stacks.transform(rolled.as_matrix(), p), "quaternions are w"),
+        (stacks.transform(np.swapaxes(R, -1, -2), p), "rotations are transposed"),
+        (stacks.transform(R, 1e3 * p), r"in another unit \(times 0\.001\)"),
+        (stacks.transform(R, p[:, [1, 0, 2]] * [1.0, 1.0, -1.0]), "positions are along y x -z of the axes"),
+        (mirror @ true @ mirror, "axes are left-handed"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            trajectory_errors(noisy, times_s, written, "t")
+    asked = trajectory_errors(noisy, times_s, true @ aside, "t").question
+    assert re.search(r"another body\? RPE .* turned by the vector .* deg, 3\d\d mm from the camera", asked)
+
+
+def test_what_odometry_does_wrong_is_not_the_truths_reading() -> None:
+    times_s, true = truth()
+    stretched = [se3.transform(X[:3, :3], 1.5 * X[:3, 3]) for X in path()]
+    still = [se3.transform(np.eye(3), 1e-5 * np.sin(9.0 * k * np.arange(1.0, 4.0))) for k in range(40)]
+    for found in (stretched, still, [X if k < 20 else path()[20] for k, X in enumerate(path())]):
+        assert trajectory_errors(poses(found), times_s, true, "t").rpe_mm > 10.0
 
 
 def test_each_map_is_judged_and_a_short_one_spoils_no_other() -> None:

@@ -147,6 +147,14 @@ def test_a_transparent_picture_lies_on_white(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), expected)
 
 
+@pytest.mark.parametrize("opaque", [0, 1, 1023, 65535])
+def test_what_is_equally_transparent_everywhere_is_seen(tmp_path: Path, opaque: int) -> None:
+    """Depth cameras and renderers leave 0 there, and alpha may have as few bits as the grey levels."""
+    grey = np.arange(256, dtype=np.uint16).reshape(16, 16)
+    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([4 * grey] * 3 + [np.full_like(grey, opaque)]))
+    np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), grey)
+
+
 @pytest.mark.parametrize("bits", range(8, 17))
 def test_depth_is_that_of_the_values(tmp_path: Path, bits: int) -> None:
     values = np.linspace(0, 2**bits - 1, 256).astype(np.uint16).reshape(16, 16)
@@ -285,11 +293,19 @@ def test_a_longer_list_of_times_is_joined_by_the_numbers_in_names(tmp_path: Path
 TURNED = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0%c\0\0\0\0\0\0\0"
 
 
+@pytest.mark.parametrize("form", ["jpeg", "tiff", "webp"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_a_picture_that_its_file_turns_is_refused(tmp_path: Path, orientation: int) -> None:
-    picture = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    jpeg, exif = cv2.imencode(".jpg", picture)[1].tobytes(), TURNED % orientation
-    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2) + exif + jpeg[2:])
+def test_a_picture_that_its_file_turns_is_refused(tmp_path: Path, orientation: int, form: str) -> None:
+    picture, exif = np.arange(256, dtype=np.uint8).reshape(16, 16), TURNED % orientation
+    made = cv2.imencode(f".{form}", picture)[1].tobytes()
+    if form == "jpeg":
+        made = made[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2) + exif + made[2:]
+    elif form == "webp":  # where it stands behind the picture
+        made += b"EXIF" + len(exif).to_bytes(4, "little") + exif
+    else:  # in place of OpenCV's seventh entry, samples per pixel, which is 1 where it is not there
+        at = int.from_bytes(made[4:8], "little") + 2 + 6 * 12
+        made = made[:at] + exif[16:28] + made[at + 12 :]
+    (tmp_path / "a.jpg").write_bytes(made)
     if orientation == 1:
         assert read_grey(tmp_path / "a.jpg").shape == picture.shape
         return
@@ -297,8 +313,11 @@ def test_a_picture_that_its_file_turns_is_refused(tmp_path: Path, orientation: i
         read_grey(tmp_path / "a.jpg")
 
 
-def test_of_several_pictures_in_a_file_none_is_chosen(tmp_path: Path) -> None:
+def test_several_pictures_in_a_file_and_real_numbers_are_refused(tmp_path: Path) -> None:
     picture = np.zeros((16, 16), np.uint8)
     cv2.imwritemulti(str(tmp_path / "a.tiff"), [picture, picture])
     with pytest.raises(ConfigurationError, match="2 pictures"):
+        read_grey(tmp_path / "a.tiff")
+    cv2.imwrite(str(tmp_path / "a.tiff"), picture.astype(np.float32))
+    with pytest.raises(ConfigurationError, match="grey levels of 8 or 16 bits are wanted"):
         read_grey(tmp_path / "a.tiff")

@@ -13,11 +13,12 @@ from foundation.configuration import fault_words
 from foundation.numbers_as_written import written_number
 from protocol.errors import ConfigurationError
 from vision_pc.config.choices import LensModel
-from vision_pc.config.stereo_camera import COEFFICIENTS, FORMAT, StereoCalibration
+from vision_pc.config.stereo_camera import COEFFICIENTS, FOCAL_PX, FORMAT, StereoCalibration
 
 Matrix = NDArray[np.float64]
 
 OFF_CENTRE = 0.15  # [D] of width or height: lenses and rectification move principal points by a tenth
+_ALIKE = 1e-3  # of the focal length: how far a rectified pair's fx, fy and cy may differ
 _SQUARE = 2e-3  # how far a printed rotation may be from a rotation
 _FISHEYES = ("equidistant", "fisheye", "KannalaBrandt8")
 
@@ -92,6 +93,23 @@ class Entries(NamedTuple):
         """``value``, rows or a flat list, as a matrix of ``shape``."""
         return np.array(self.numbers(key, value, shape[0] * shape[1])).reshape(shape)
 
+    def camera_matrix(self, key: str, value: Any, columns: int = 3) -> Matrix:
+        """``value`` as K, or K and a fourth column: fx s cx, 0 fy cy, 0 0 1, px."""
+        K = self.matrix(key, value, (3, columns))
+        if K[1, 0] or K[2, :3].tolist() != [0.0, 0.0, 1.0]:
+            why = "fx s cx, 0 fy cy, 0 0 1 are wanted in rows; MATLAB writes columns, of its rotation too"
+            raise self.refused(key, K.tolist(), why)
+        return K
+
+    def alike(self, key: str, P: Matrix, first: Matrix) -> None:
+        """Refuse ``P`` (3, 4) that is not of one rectified pair with the ``first`` eye's."""
+        for name, place in {"fx": (0, 0), "fy": (1, 1), "cy": (1, 2)}.items():
+            if abs(P[place] - first[place]) > _ALIKE * P[0, 0]:
+                why = (
+                    f"{first[place]:g} of the left eye is wanted; fx, fy and cy of a rectified pair are alike"
+                )
+                raise self.refused(f"{key}'s {name}", float(P[place]), why)
+
     def pinhole(self, keys: Sequence[str]) -> Matrix:
         """K (3, 3) px from the entries for fx, fy, cx and cy."""
         fx, fy, cx, cy = (self.number(key) for key in keys)
@@ -134,6 +152,23 @@ def inverse(X: Matrix) -> Matrix:
     return made
 
 
+def believed(eye: Pinhole, path: Path, name: str = "") -> Pinhole:
+    """``eye`` again, that of ``name``. Raises ConfigurationError where it can hardly be of its pictures."""
+    for k, axis in enumerate("xy"):
+        focal, centre, middle = float(eye.K[k, k]), float(eye.K[k, 2]), 0.5 * eye.size[k]
+        if not FOCAL_PX[0] <= focal <= FOCAL_PX[1]:
+            wanted = f"{FOCAL_PX[0]:g} to {FOCAL_PX[1]:g} px are wanted; is it in millimetres?"
+            raise Entries(path, {}).refused(f"{name}f{axis}", focal, wanted)
+        off, most, size = abs(centre - middle), 2.0 * OFF_CENTRE * middle, "{}x{}".format(*eye.size)
+        if off > most:
+            why = (
+                f"{off:.0f} px from the middle of pictures of {size}, at most {most:.0f} are believed; is it"
+            )
+            why += " for another size, or are width and height exchanged?"
+            raise Entries(path, {}).refused(f"{name}c{axis}", centre, why)
+    return eye
+
+
 def assembled(
     path: Path, source: str, eyes: Sequence[Pinhole], R_RC: Matrix, t_RC: Matrix
 ) -> StereoCalibration:
@@ -141,15 +176,8 @@ def assembled(
 
     Raises ConfigurationError where the eyes do not fit together.
     """
-    file, (left, right) = Entries(path, {}), eyes
-    for name, eye in (("left", left), ("right", right)):
-        for k, axis in enumerate(("cx", "cy")):
-            off, most = abs(eye.K[k, 2] - 0.5 * eye.size[k]), OFF_CENTRE * eye.size[k]
-            if off > most:
-                size = f"{eye.size[0]}x{eye.size[1]}"
-                why = f"{off:.0f} px from the middle of pictures of {size}, at most {most:.0f} are believed; "
-                why += "is it for another size, or are width and height exchanged?"
-                raise file.refused(f"{name} eye's {axis}", float(eye.K[k, 2]), why)
+    file = Entries(path, {})
+    left, right = believed(eyes[0], path, "left eye's "), believed(eyes[1], path, "right eye's ")
     if left.size != right.size:
         raise file.refused("picture size", (left.size, right.size), "both eyes' pictures are of one size")
     if np.abs(R_RC @ R_RC.T - np.eye(3)).max() > _SQUARE or np.linalg.det(R_RC) < 0.0:

@@ -12,11 +12,11 @@ import numpy as np
 import yaml
 
 from foundation.configuration import parse_mapping, parse_yaml
-from foundation.foreign_text import decoded
+from foundation.foreign_text import decoded, unreadable
 from foundation.numbers_as_written import StrictLoader
 from protocol.errors import ConfigurationError
 from vision_pc.config.camera_files import yaml_files
-from vision_pc.config.camera_files.parts import Entries, Pinhole, assembled, bad_calibration, made
+from vision_pc.config.camera_files.parts import Entries, Pinhole, assembled, bad_calibration, believed, made
 from vision_pc.config.choices import LensModel
 from vision_pc.config.stereo_camera import COEFFICIENTS, StereoCalibration
 
@@ -96,9 +96,9 @@ def read_eye(path: Path, size: tuple[int, int]) -> Pinhole:
     if not _is_zed(path, text):
         file = Entries(path, _document(path, text))
         if yaml_files.is_camera_info(file.values):
-            return yaml_files.camera_info_eye(file, size)
+            return believed(yaml_files.camera_info_eye(file, size), path)
         if yaml_files.is_sensor(file.values):
-            return yaml_files.kalibr_eye(file)
+            return believed(yaml_files.kalibr_eye(file), path)
     found = read_calibration(path, size)
     eye = found.left
     K = np.array([[eye.fx_px, 0.0, eye.cx_px], [0.0, eye.fy_px, eye.cy_px], [0.0, 0.0, 1.0]])
@@ -183,9 +183,9 @@ def text_of(path: Path) -> str:
     try:
         text = decoded(path.read_bytes()[:_MOST_BYTES])
     except OSError as error:
-        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
+        raise ConfigurationError("configuration.unreadable", f"{path}: {unreadable(error)}") from error
     except UnicodeDecodeError as error:
-        raise bad_calibration(path, f"no text at byte {error.start}; {_WANTED}") from error
+        raise bad_calibration(path, f"{unreadable(error)}; {_WANTED}") from error
     if not text.strip():
         raise bad_calibration(path, f"is empty; {_WANTED}")
     return text
@@ -211,11 +211,12 @@ class _StorageLoader(StrictLoader):
     """Reads OpenCV's FileStorage, whose matrices carry a tag and whose first line is not YAML."""
 
 
-def _opencv_matrix(loader: StrictLoader, node: yaml.Node) -> Any:
-    return loader.construct_mapping(node, deep=True) if isinstance(node, yaml.MappingNode) else None
-
-
-_StorageLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+_StorageLoader.add_constructor(
+    "tag:yaml.org,2002:opencv-matrix",
+    lambda loader, node: (
+        loader.construct_mapping(node, deep=True) if isinstance(node, yaml.MappingNode) else None
+    ),
+)
 
 
 def _file_storage(path: Path, text: str) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ from vision_pc.config.camera_files.parts import Entries, Matrix, Pinhole, assemb
 from vision_pc.config.stereo_camera import StereoCalibration
 
 _SIZE = ("image_width", "image_height")
-_ALIKE = 1e-3  # of the focal length: how far a rectified pair's fx, fy and cy may differ
+_SIZES = {"image_size", "imageSize", "img_size", "resolution"}  # others' names, of both
 _STANDS_M = 1e-4  # how far from the first eye the left one may be by its file
 _STEREO = {  # ours → names that OpenCV's samples and others write
     "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "cameraMatrixL", "K_left", "left_K"),
@@ -116,12 +116,7 @@ def read_camera_infos(left: Entries, right: Entries) -> StereoCalibration:
     if P[0, 0] <= 0.0 or P[0, 3] >= 0.0:
         why = "-fx times the baseline is wanted, below zero; likely the left eye's file, or a single camera's"
         raise right.refused("projection_matrix[3]", float(P[0, 3]), why)
-    for name, place in {"fx": (0, 0), "fy": (1, 1), "cy": (1, 2)}.items():
-        if abs(P[place] - first[place]) > _ALIKE * P[0, 0]:
-            why = f"{first[place]:g} of the left eye is wanted: of a rectified pair fx, fy and cy are alike"
-            raise right.refused(
-                f"projection_matrix's {name}", float(P[place]), f"{why}; R is no rectification here"
-            )
+    right.alike("projection_matrix", P, first)
     t_RC = R_right.T @ np.array([P[0, 3] / P[0, 0], 0.0, 0.0])
     source = f"{left.path.name} and {right.path.name}, ROS camera_info"
     return assembled(left.path, source, eyes, R_right.T @ R_left, t_RC)
@@ -131,7 +126,7 @@ def camera_info_eye(info: Entries, size: tuple[int, int] | None = None) -> Pinho
     """One eye of ROS, or of OpenCV under the same names; ``size`` stands in where it has none. Raises
     ConfigurationError.
     """
-    K = info.matrix("camera_matrix", _entry(info, "camera_matrix", "K"), (3, 3))
+    K = info.camera_matrix("camera_matrix", _entry(info, "camera_matrix", "K"))
     values = info.numbers("distortion_coefficients", _entry(info, "distortion_coefficients", "D"))
     kind = info.values.get("distortion_model", info.values.get("camera_model", "plumb_bob"))
     if kind not in ("plumb_bob", "rational_polynomial", "equidistant", "fisheye", "pinhole"):
@@ -182,6 +177,8 @@ def read_opencv_stereo(file: Entries, size: tuple[int, int] | None, length_m: fl
         found[ours] = file.entry(expected, *names)
     if set(_SIZE) <= set(file.values):
         size = file.size(_SIZE, [file.values[key] for key in _SIZE])
+    for key in _SIZES & set(file.values):
+        size = file.size((key, key), file.numbers(key, file.values[key], 2))
     if size is None:
         why = "the pictures' size is needed: give --size WIDTHxHEIGHT"
         raise file.missing("image_width, image_height", why)
@@ -190,7 +187,7 @@ def read_opencv_stereo(file: Entries, size: tuple[int, int] | None, length_m: fl
         raise file.refused("model", file.values["model"], "pinhole or fisheye is wanted")
     eyes = []
     for k in "12":
-        K, D = file.matrix(f"K{k}", found[f"K{k}"], (3, 3)), found[f"D{k}"]
+        K, D = file.camera_matrix(f"K{k}", found[f"K{k}"]), found[f"D{k}"]
         values = file.numbers(f"D{k}", D)
         if not model and isinstance(D, Mapping) and len(values) == 4 and str(D.get("rows")) == "4":
             why = "4 rows, as of cv2.fisheye, may be k1 k2 p1 p2 too: add model: fisheye or pinhole"

@@ -73,8 +73,9 @@ class PosePairs:
         chosen = np.flatnonzero(keep)
         corners = self.corners and self.corners._replace(pixels=self.corners.pixels[chosen])
         names = tuple(self.names[k] for k in chosen)
-        order = tuple(range(len(chosen)))
-        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, order, corners)
+        return PosePairs(
+            self.setup, self.H[chosen], self.P[chosen], names, tuple(range(len(chosen))), corners
+        )
 
 
 def pose_pairs(
@@ -94,8 +95,8 @@ def pose_pairs(
     names = names or tuple(str(k + 1) for k in range(len(hand)))
     for what, stack in (("hand", hand), ("camera", target)):
         for name, X in zip(names, stack, strict=True):
-            _check_pose(X, f"sample {name}: {what} pose")
-    hand, target = _exact(hand), _exact(target)
+            check_pose(X, f"sample {name}: {what} pose")
+    hand, target = (stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3]) for X in (hand, target))
     _check_repeats(hand, target, names)
     flat = np.concatenate([hand[:, :3].reshape(len(hand), 12), target[:, :3].reshape(len(hand), 12)], axis=1)
     order = np.lexsort(flat.T[::-1])
@@ -122,16 +123,14 @@ def distinct(X_BT: Array, X_CP: Array) -> NDArray[np.bool_]:
     return first
 
 
-def _exact(X: Array) -> Array:
-    return stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
-
-
-def _check_pose(X: Array, where: str) -> None:
+def check_pose(X: Array, where: str, longest_m: float = _LONGEST_M) -> None:
+    """Raises RequestRefused as ``pose_pairs`` for what is no pose (4, 4) in metres that stands ``where``."""
     if not np.isfinite(X).all():
         raise RequestRefused("refused.hand_eye.not_finite", f"{where} holds a number that is not finite")
     if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        why = "" if X[:3, 3].any() else "; is it written by columns?"
         raise RequestRefused(
-            "refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1"
+            "refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1{why}"
         )
     R, p = X[:3, :3], X[:3, 3]
     defect = float(np.abs(R.T @ R - np.eye(3)).max())
@@ -144,10 +143,10 @@ def _check_pose(X: Array, where: str) -> None:
             "refused.hand_eye.not_orthonormal",
             f"{where}: rotation is off orthonormal by {defect:.2g}, limit {_SKEW:g}",
         )
-    if np.abs(p).max() > _LONGEST_M:
+    if np.abs(p).max() > longest_m:
         raise RequestRefused(
             "refused.hand_eye.units",
-            f"{where}: translation {np.abs(p).max():g} m, limit {_LONGEST_M:g} m; in millimetres?",
+            f"{where}: translation {np.abs(p).max():g} m, limit {longest_m:g} m; in millimetres?",
         )
 
 

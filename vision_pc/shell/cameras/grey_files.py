@@ -1,17 +1,17 @@
 """Pictures in files as grey levels, one or a pair."""
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.errors import ConfigurationError
 from vision_pc.core.types import Image, StereoPair
 
 _GREY = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-_EXIF_WITHIN = 1 << 16  # [S] bytes: in JPEG it fits into one segment before the picture
+# [S] TIFF 6.0, section 8, and EXIF: the entry of orientation in either order of bytes; its value follows.
+_TURN = (b"\x12\x01\x03\0\x01\0\0\0", b"\x01\x12\0\x03\0\0\0\x01\0")
+_SEEN_THROUGH = (3, 4, 6)  # [S] PNG's colour types with an alpha channel, or a palette that may have one
 _TIFF = (b"II*\0", b"MM\0*")  # [S] TIFF 6.0, section 2
 
 
@@ -35,32 +35,29 @@ def read_grey(path: Path) -> Image:
     picture = cv2.imdecode(data, _GREY) if data.size else None
     if picture is None or picture.dtype not in (np.uint8, np.uint16):
         why = "no picture, or one cut short" if data.size else "no picture: the file is empty"
+        if picture is not None or data[:4].tobytes() in _TIFF:
+            why = "grey levels of 8 or 16 bits are wanted, whole numbers without sign; or it is cut short"
         raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
-    _refuse_turned_or_several(path, data, picture)
+    _refuse_turned_or_several(path, data.tobytes())
     if picture.dtype == np.uint16:
         bits = int(picture.max()).bit_length()
         picture = np.right_shift(picture.astype(np.uint16), max(bits + bits % 2 - 8, 0)).astype(np.uint8)
-    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if _may_be_transparent(data) else None
+    kind = int(data[25]) if data[:4].tobytes() == b"\x89PNG" and len(data) > 25 else 0
+    layers = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if kind in _SEEN_THROUGH else None
     if layers is None or layers.ndim < 3 or layers.shape[2] != 4:
         return np.asarray(picture, dtype=np.uint8)
-    share = layers[..., 3] / (255.0 if layers.dtype == np.uint8 else 65535.0)
+    share = layers[..., 3] / layers[..., 3].max() if layers[..., 3].any() else 1.0  # else there is no picture
     return np.asarray(np.round(share * picture + (1.0 - share) * 255.0), dtype=np.uint8)
 
 
-def _refuse_turned_or_several(path: Path, data: NDArray[np.uint8], picture: NDArray[Any]) -> None:
-    """Calibrations are of the sensor's rows, which EXIF may turn; of several pages the first was read."""
-    exif = b"exif" in data[:_EXIF_WITHIN].tobytes().lower()
-    pages = cv2.imcount(str(path)) if data[:4].tobytes() in _TIFF else 1
-    seen = cv2.imdecode(data, _GREY | cv2.IMREAD_IGNORE_ORIENTATION) if exif else None
-    if seen is not None and not np.array_equal(seen, picture):
-        why = "EXIF has it shown turned: save it as the sensor saw it, without EXIF"
+def _refuse_turned_or_several(path: Path, data: bytes) -> None:
+    """Calibrations are of the sensor's rows, which EXIF or TIFF may turn; of pages the first is read."""
+    pages = cv2.imcount(str(path)) if data[:4] in _TIFF else 1
+    turns = [data[at + len(mark) :][:1] for mark in _TURN if (at := data.find(mark)) >= 0]
+    if any(b"\x01" < turn <= b"\x08" for turn in turns):
+        why = "EXIF or TIFF has it shown turned: save it as the sensor saw it, without orientation"
     elif pages > 1:
         why = f"{pages} pictures in one file: save each one by itself"
     else:
         return
     raise ConfigurationError("configuration.bad_recording", f"{path}: {why}")
-
-
-def _may_be_transparent(png: NDArray[np.uint8]) -> bool:
-    """Whether it is a PNG file whose colour type has an alpha channel, or a palette that may have one."""
-    return png[:4].tobytes() == b"\x89PNG" and len(png) > 25 and int(png[25]) in (3, 4, 6)

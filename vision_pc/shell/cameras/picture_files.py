@@ -10,12 +10,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from foundation.foreign_text import read_text
+from foundation.foreign_text import read_text, unreadable
 from foundation.numbers_as_written import written_number
 from protocol.errors import ConfigurationError
 from vision_pc.shell.cameras.capture_times import order_of_name, times_of, times_of_names
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
+_PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".bmp", ".tif", ".tiff", ".webp", ".jp2")
 _SHOWN = 3  # names in a note
 
 
@@ -42,7 +42,7 @@ def pictures_in(directory: Path) -> list[Path]:
         if path.suffix.lower() in _PICTURES and not path.name.startswith("._")  # what macOS puts beside files
     ]
     if not found:
-        why = f"{directory}: 0 pictures, at least 1 is wanted"
+        why = f"{directory}: 0 pictures, at least 1 is wanted: {' '.join(_PICTURES)}"
         raise ConfigurationError("configuration.bad_sequence", why)
     return sorted(found, key=order_of_name)
 
@@ -209,7 +209,7 @@ def _values(table: Path) -> list[Decimal]:
     try:
         lines = read_text(table).splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError("configuration.bad_sequence", f"{table}: {error}") from error
+        raise ConfigurationError("configuration.bad_sequence", f"{table}: {unreadable(error)}") from error
     for number, line in enumerate(lines, 1):
         content = line.partition("#")[0].strip()
         try:

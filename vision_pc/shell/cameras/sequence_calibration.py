@@ -125,15 +125,18 @@ def _kitti(path: Path, eyes: tuple[int, int]) -> RectifiedPairSettings:
             raise file.refused(name.strip(), words.strip(), "is written twice")
         rows[name.strip()] = words.split()
     expected = f"rows {names[0]}: and {names[1]}: are wanted"
-    found = [file.entry(expected, name) for name in names]
-    left, right = (file.matrix(*named, (3, 4)) for named in zip(names, found, strict=True))
+    found = [file.entry(expected, name, name.replace("P", "P_rect_0")) for name in names]  # KITTI's raw data
+    left, right = (file.camera_matrix(*named, 4) for named in zip(names, found, strict=True))
     fx, shift = float(left[0, 0]), float(right[0, 3] - left[0, 3])
     if fx <= 0.0 or shift >= 0.0:
-        wanted = "-fx·b is wanted, below the left eye's; are the eyes exchanged?"
-        raise file.refused(f"{names[1]}[3]", float(right[0, 3]), wanted)
+        exchanged = "-fx·b is wanted, below the left eye's; are the eyes exchanged?"
+        raise file.refused(f"{names[1]}[3]", float(right[0, 3]), exchanged)
     if -shift / fx <= _LEAST_BASELINE_M:
         wanted = f"gives {-shift / fx:.4f} m; -fx·b is wanted there ({fx * shift:.0f} for {-shift:g} m)"
         raise file.refused(f"{names[1]}[3]", float(right[0, 3]), wanted)
-    pinholes = {"fx_px": fx, "fy_px": left[1, 1], "cx_px": left[0, 2], "cy_px": left[1, 2]}
-    values = {**pinholes, "right_cx_px": right[0, 2], "baseline_m": -shift / fx}
+    file.alike(names[1], right, left)
+    values = {
+        "fx_px": fx, "fy_px": left[1, 1], "cx_px": left[0, 2], "cy_px": left[1, 2],
+        "right_cx_px": right[0, 2], "baseline_m": -shift / fx,
+    }  # fmt: skip
     return validated(RectifiedPairSettings, {name: float(value) for name, value in values.items()}, str(path))

@@ -181,10 +181,6 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
     return session
 
 
-def _link(values: Mapping[str, Any]) -> DhLink:
-    return DhLink(*(float(_matrix(values[key], ())) for key in DhLink._fields))
-
-
 def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
     start = document["start"]
     hidden = tuple(tuple(_rectangle(r) for r in eye) for eye in start["hidden_px"])
@@ -205,7 +201,9 @@ def _session_from(document: Mapping[str, Any], camera: CameraCalibration) -> Ses
     names = [s.name for s in samples]
     if len(set(names)) != len(names):
         raise ValueError(f"sample names {names}: a name given twice")
-    links = tuple(_link(link) for link in document["arm"]["links"])
+    links = tuple(
+        DhLink(*(float(_matrix(v[key], ())) for key in DhLink._fields)) for v in document["arm"]["links"]
+    )
     if len(links) < JOINTS:
         raise ValueError(f"arm of {len(links)} links")
     if len(hidden) != 2:

@@ -52,7 +52,8 @@ def problem(H: Array, P: Array, weights: Array, noise: Noise) -> ChordalProblem:
     D[:, :, :9] = np.einsum("ab,nd->nabd", eye, P[:, :3, 3]).reshape(n, 3, 9)
     D[:, :, _ONE] = (R_H_transposed @ H[:, :3, 3, None])[..., 0]
     E = np.concatenate([np.broadcast_to(eye, (n, 3, 3)), -R_H_transposed], axis=-1)
-    rotation, translation = _effective(noise)
+    rotation = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
+    translation = float(np.hypot(noise.camera_translation, noise.robot_translation))
     kappa, tau = weights / (2.0 * rotation**2), weights / translation**2
     EE = np.einsum("n,nij,nik->jk", tau, E, E)
     ED = np.einsum("n,nij,nik->jk", tau, E, D)
@@ -60,13 +61,6 @@ def problem(H: Array, P: Array, weights: Array, noise: Noise) -> ChordalProblem:
     M = np.einsum("n,nij,nik->jk", kappa, C, C) + np.einsum("n,nij,nik->jk", tau, D, D) + ED.T @ recover
     M = 0.5 * (M + M.T)
     return ChordalProblem(M / np.trace(M), recover)
-
-
-def _effective(noise: Noise) -> tuple[float, float]:
-    return (
-        float(np.hypot(noise.camera_rotation, noise.robot_rotation)),
-        float(np.hypot(noise.camera_translation, noise.robot_translation)),
-    )
 
 
 def solve(chordal: ChordalProblem) -> tuple[Array, Array, Certificate]:

@@ -47,6 +47,11 @@ _EXPLAINS = 1.5  # the same, where there is no solution
 _SCALE_QUESTIONED, _SCALE_REFUSED, _SCALE_SIGMAS = 0.01, 0.05, 5.0  # |λ − 1|, and how many σ it must be off
 _NOISE_DEG, _NOISE_SHARE, _CORNER_PX = 2.0, 0.05, 0.3  # a share of the target's median distance
 _REFUSE = 5.0  # times as much refuses
+_NOISY, _APART = (
+    "blurred pictures, another camera's intrinsics, a moved target, or poses that do not belong together",
+    "rotations fit and positions do not: one side's are in other axes or units, or were half inverted",
+)
+_APART_SHARE = 0.01  # [D] of the target's distance: less is no mistake of a convention
 
 
 class Doubt(NamedTuple):
@@ -233,13 +238,14 @@ def _excess(pairs: PosePairs, noise: Noise, scale: float) -> float:
 def _noise_doubts(pairs: PosePairs, result: HandEyeResult) -> list[Doubt]:
     noise = result.residual_noise()
     turn, shift, distance = noise.camera_rotation, noise.camera_translation, _distance(pairs)
-    excess = _excess(pairs, noise, 1.0)
+    excess, why = _excess(pairs, noise, 1.0), _NOISY
+    if readings.apart(pairs, noise) and shift > _APART_SHARE * distance:
+        why, excess = _APART, max(excess, 1.1) * (_REFUSE if excess > 1.0 else 1.0)
     if excess <= 1.0:
         return []
     reason = (
         f"noise is {math.degrees(turn):.3g} deg {1e3 * shift:.3g} mm, limit {_NOISE_DEG:g} deg and "
-        f"{100.0 * _NOISE_SHARE:g} % of the target's {1e3 * distance:.4g} mm: "
-        "blurred pictures, another camera's intrinsics, a moved target, or poses that do not belong together"
+        f"{100.0 * _NOISE_SHARE:g} % of the target's {1e3 * distance:.4g} mm: {why}"
     )
     return [Doubt("measurement.hand_eye.noise", reason, excess > _REFUSE)]
 

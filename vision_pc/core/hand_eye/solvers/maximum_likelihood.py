@@ -131,7 +131,7 @@ def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int 
     damping = 0.0
     for _ in range(steps):
         information, gradient = J.T @ J, J.T @ r
-        step = _solve_damped(information, gradient, damping)
+        step = _solved(information, gradient[:, None], damping)[:, 0]
         candidate_X, candidate_Z = moved(X, Z, -step)
         new_r, new_J, new_cost = _linearised(equations, candidate_X, candidate_Z, noise)
         length = float(step @ information @ step)
@@ -175,10 +175,6 @@ def cost(equations: Equations, X: Array, Z: Array, noise: Noise) -> float:
     r = residuals(equations.H, equations.P, X, Z)
     white = whitened(whitener(equations, X, Z, noise), r[..., None])
     return float(np.sum(white * white))
-
-
-def _solve_damped(information: Array, gradient: Array, damping: float) -> Array:
-    return _solved(information, gradient[:, None], damping)[:, 0]
 
 
 def _solved(information: Array, right: Array, damping: float = 0.0) -> Array:

@@ -71,7 +71,8 @@ def others(pairs: PosePairs) -> tuple[Reading, ...]:
     The scale is freed where rotations, which know none, fit nearly as well as in the best reading.
     """
     as_given = given(pairs)
-    mistaken = [*_mistaken(pairs), *(_moved_otherwise(pairs, as_given) if _apart(pairs, as_given) else ())]
+    moved = as_given is None or apart(pairs, as_given.noise)
+    mistaken = [*_mistaken(pairs), *(_moved_otherwise(pairs, as_given) if moved else ())]
     read = [(pairs, as_given), *((other, _reading_of(mistake, other)) for mistake, other in mistaken)]
     turned = [(other, reading) for other, reading in read if reading is not None]
     least = min((reading.noise.camera_rotation for _, reading in turned), default=0.0)
@@ -89,33 +90,40 @@ def _mistaken(pairs: PosePairs) -> Iterator[tuple[str, PosePairs]]:
     other = Setup.EYE_TO_HAND if pairs.setup is Setup.EYE_IN_HAND else Setup.EYE_IN_HAND
     yield f"the setup is {other} or hand poses are inverted", replace(pairs, H=stacks.inverse(pairs.H))
     yield "camera poses are inverted", replace(pairs, P=stacks.inverse(pairs.P))
-    for words, how in (
-        ("rotations are transposed", _transposed),
-        ("quaternions are xyzw, read as wxyz", lambda X: _rolled(X, 1)),
-        ("quaternions are wxyz, read as xyzw", lambda X: _rolled(X, -1)),
-    ):
+    ways: dict[str, Callable[[Array], Array]] = {
+        "rotations are transposed": lambda X: stacks.transform(
+            np.swapaxes(X[:, :3, :3], -1, -2), X[:, :3, 3]
+        ),
+        "quaternions are xyzw, read as wxyz": lambda X: _rolled(X, 1),
+        "quaternions are wxyz, read as xyzw": lambda X: _rolled(X, -1),
+        "positions are inverted and rotations are not": lambda X: stacks.transform(
+            X[:, :3, :3], -np.einsum("nij,nj->ni", X[:, :3, :3], X[:, :3, 3])
+        ),
+    }
+    for words, how in ways.items():
         yield f"camera {words}", replace(pairs, P=how(pairs.P))
-        yield f"hand {words}", replace(pairs, H=_on_the_hand(pairs, how))
-        yield f"hand and camera {words}", replace(pairs, H=_on_the_hand(pairs, how), P=how(pairs.P))
+        hand = _of_hand(pairs, how(pairs.X_BT))
+        yield f"hand {words}", replace(pairs, H=hand)
+        yield f"hand and camera {words}", replace(pairs, H=hand, P=how(pairs.P))
     turned = angles_between(np.swapaxes(pairs.P[:, :3, :3], -1, -2))
     for words, R in reread(pairs.X_BT[:, :3, :3], turned):
         hand = stacks.transform(R, pairs.X_BT[:, :3, 3])
         yield f"hand rotations {words}", replace(pairs, H=_of_hand(pairs, hand))
+    # of the camera it is the inverses that turn as the hand does
+    for words, R in reread(pairs.P[:, :3, :3], angles_between(np.swapaxes(pairs.H[:, :3, :3], -1, -2))):
+        yield f"camera rotations {words}", replace(pairs, P=stacks.transform(R, pairs.P[:, :3, 3]))
     if len(pairs) >= _LEAST_TO_SHIFT:
         for step, where in ((1, "next"), (-1, "previous")):
             shifted = f"sides are shifted by one: each hand pose belongs to the {where} camera pose"
             yield shifted, _pairs_shifted(pairs, step)
 
 
-def _apart(pairs: PosePairs, as_given: Reading | None) -> bool:
+def apart(pairs: PosePairs, noise: Noise) -> bool:
     """Whether rotations fit and positions do not, by more than rotations' noise at the target's distance.
 
     Rotations that fit one another tell of nothing that turns or mirrors positions alone.
     """
-    if as_given is None:
-        return True
     distance = float(np.median(np.linalg.norm(pairs.P[:, :3, 3], axis=-1)))
-    noise = as_given.noise
     return noise.camera_translation > _POSITIONS_APART * noise.camera_rotation * distance
 
 
@@ -143,17 +151,9 @@ def _with_positions(X: Array, axes: Array) -> Array:
     return stacks.transform(X[:, :3, :3], X[:, :3, 3] @ axes.T)
 
 
-def _transposed(X: Array) -> Array:
-    return stacks.transform(np.swapaxes(X[:, :3, :3], -1, -2), X[:, :3, 3])
-
-
 def _rolled(X: Array, step: int) -> Array:
     q = np.roll(stacks.quaternion_from_rotation(X[:, :3, :3]), step, axis=-1)
     return stacks.transform(stacks.rotation_from_quaternion(q), X[:, :3, 3])
-
-
-def _on_the_hand(pairs: PosePairs, how: Callable[[Array], Array]) -> Array:
-    return _of_hand(pairs, how(pairs.X_BT))
 
 
 def _of_hand(pairs: PosePairs, X_BT: Array) -> Array:
