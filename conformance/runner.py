@@ -7,7 +7,7 @@ from typing import Any
 
 from conformance.case import Attempt, CaseOutcome, ConformanceCase, Result, Summary, coupler, reference
 from conformance.classes import bursts, long_numbers, many_peers, real_numbers
-from conformance.coupler import sequences
+from conformance.coupler import table
 from conformance.parts import OptionalPart, Profile
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
 from conformance.reference import (
@@ -39,7 +39,7 @@ from protocol.errors import LinkLost
 _MODULES = (
     framing, sessions, handshake, order, motion, endings, streaming, authentication, answers, datagrams_sent,
     datagram_refusals, datagram_drops, arm_transitions, arm_state_truth, arm_state_scan, arm_motion_times,
-    arm_stream_times, arm_stream_following, long_numbers, real_numbers, bursts, many_peers, sequences,
+    arm_stream_times, arm_stream_following, long_numbers, real_numbers, bursts, many_peers, table,
 )  # fmt: skip
 
 

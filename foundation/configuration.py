@@ -237,9 +237,8 @@ def fault_reason(fault: Mapping[str, Any]) -> str:
 
 
 def _as_written(value: Any) -> str:
-    words = {"True": "true", "False": "false", "None": "null"}
-    shown = repr(value)
-    return shown if isinstance(value, str) else re.sub("True|False|None", lambda m: words[m[0]], shown)
+    plain = repr(value).replace("True", "true").replace("False", "false").replace("None", "null")
+    return repr(value) if isinstance(value, str) else plain
 
 
 def _like(model: Any, loc: tuple[int | str, ...]) -> str:
@@ -272,10 +271,6 @@ def or_its_file(model: type[BaseModel]) -> BeforeValidator:
         return load(model, beside(value, info)) if isinstance(value, str) else value
 
     return BeforeValidator(opened)
-
-
-ConfiguredFile = Annotated[Path, AfterValidator(beside)]
-"""The path of a file that a configuration names, see ``beside``."""
 
 
 def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:

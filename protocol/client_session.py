@@ -107,12 +107,6 @@ class ReferenceClient:
         return estimate.offset_ns if estimate else None
 
     @property
-    def clock_uncertainty_ns(self) -> int | None:
-        """Bound on the error of ``clock_offset_ns``."""
-        estimate = self.clock
-        return estimate.uncertainty_ns if estimate else None
-
-    @property
     def credentials(self) -> Credentials | None:
         """What who speaks beside this end has to know of the open session."""
         if self._welcome is None:

@@ -139,9 +139,9 @@ def _http_words(request: Request, error: HTTPException) -> str:
         HTTPStatus.NOT_FOUND: f"{asked}: nothing is at this path; /docs has all",
         HTTPStatus.METHOD_NOT_ALLOWED: f"{asked}: wanted is {' or '.join(sorted(set().union(*there)))}",
     }
-    unread = "the body is no JSON: wanted are UTF-8, no Content-Encoding, numbers of at most 4300 digits"
-    own = unread if isinstance(error.__cause__, ValueError) else str(error.detail)
-    return words.get(HTTPStatus(error.status_code), own)
+    if isinstance(error.__cause__, ValueError):
+        return "the body is no JSON: wanted are UTF-8, no Content-Encoding, numbers of at most 4300 digits"
+    return words.get(HTTPStatus(error.status_code), str(error.detail))
 
 
 class OnceWritten:

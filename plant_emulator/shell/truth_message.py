@@ -91,11 +91,6 @@ def truth_bytes(
     return bytes(message.SerializeToString())
 
 
-def holes_of(data: bytes) -> Array:
-    """Middles (n, 3) in C of the drill holes that a capture's message tells of."""
-    return np.array(getattr(TruthMessage.FromString(data), HOLES), dtype=np.float64).reshape(-1, 3)
-
-
 def truth_of(data: bytes) -> tuple[PlantTruth, int | None, CameraMotion | None]:
     """The truth of a message, its frame, and how camera and marker moved, where that is told."""
     message = TruthMessage.FromString(data)

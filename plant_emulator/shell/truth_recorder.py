@@ -50,7 +50,7 @@ FaultMessage = message_class(
 class TruthRecord(NamedTuple):
     """One recorded instant. ``frame_id`` is None between captures.
 
-    ``holes_O`` (n, 3): middles of the wall's drill holes; what is read has none, ``holes_of`` tells them.
+    ``holes_O`` (n, 3): middles of the wall's drill holes; what is read has none.
     ``motion``: how camera and tool marker moved, at captures of a camera that shows it.
     """
 

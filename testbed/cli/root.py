@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,23 +48,6 @@ class SharedCommand(_NamesItself, TyperCommand):
             own[_DIRECTORY].is_eager = True  # read first, so that the arm's takes its place
             self.params.insert(self.params.index(own[_DIRECTORY]) + 1, _shared_options()[0])
         self.params += [option for option in _shared_options()[1:] if option.name not in own]
-        for parameter in self.params:
-            parameter.process_value = partial(_in_digits, parameter)  # type: ignore[method-assign]
-
-
-def _in_digits(option: Any, ctx: Any, value: Any) -> Any:
-    """What an option's word means: a number in decimal digits alone, though the interpreter reads 1_0 too."""
-    made = type(option).process_value(option, ctx, value)
-    numbers, words = (one if isinstance(one, list | tuple) else (one,) for one in (made, value))
-    if any(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers or ()):
-        from foundation.numbers_as_written import written_number
-
-        try:
-            for word in words:
-                written_number(word)
-        except ValueError as error:
-            raise typer.BadParameter(str(error), ctx, option) from error
-    return made
 
 
 class CommandGroup(_NamesItself, TyperGroup):

@@ -165,7 +165,10 @@ class RestRig:
         try:
             response = self._client.send(asked)
         except httpx.HTTPError as error:
-            why = f"{method} {_shown(asked.url)}: {_trouble(error)}; `longreach up` starts the three services"
+            said = re.sub(r"^\[Errno -?\d+\] ", "", str(error)).rstrip(".")
+            if "SSL" in said or isinstance(error, httpx.RemoteProtocolError):
+                said = "no whole answer in HTTP came: it has ended, or http:// and https:// are mixed up"
+            why = f"{method} {_shown(asked.url)}: {said}; `longreach up` starts the three services"
             raise LinkLost("link.rest", why) from error
         if not response.is_success:
             raise error_of(answered(response))
@@ -204,15 +207,6 @@ def answered(response: httpx.Response) -> JSON:
 def _shown(url: httpx.URL) -> str:
     """Without a password."""
     return str(url.copy_with(username=None, password=None))
-
-
-def _trouble(error: httpx.HTTPError) -> str:
-    said = re.sub(r"^\[Errno -?\d+\] | \(_ssl.*", "", str(error)).rstrip(".")
-    if "WRONG_VERSION" in said or "UNEXPECTED_EOF" in said:
-        return "no TLS is spoken there; http:// is wanted"
-    if isinstance(error, httpx.RemoteProtocolError):
-        return "no whole answer in HTTP came; it has ended, or speaks another protocol, such as https://"
-    return said
 
 
 def error_of(problem: JSON) -> LongreachError:

@@ -44,7 +44,8 @@ class TrajectoryErrors(NamedTuple):
         drift = "" if self.drift_percent is None else f", drift {self.drift_percent:.2f} %"
         return (
             f"{self.poses} poses over {self.length_m:.2f} m: ATE {self.ate_mm:.2f} mm,"
-            f" RPE {self.rpe_mm:.2f} mm {self.rpe_deg:.4f} deg a pair, scale {self.scale:.4f}{drift}{self.question}"
+            f" RPE {self.rpe_mm:.2f} mm {self.rpe_deg:.4f} deg a pair,"
+            f" scale {self.scale:.4f}{drift}{self.question}"
         )
 
 
@@ -105,8 +106,11 @@ def _readings(found: Array, true: Array) -> Iterator[tuple[str, Array, Array]]:
     for mirrored in (False, True):
         turn = _nearest_turn(moved, np.einsum("kij,kj->ki", R[:-1], mine[:, :3, 3]), mirrored)
         shown, axes = _axes(turn.T)
-        words = f"positions are along {shown} of the axes of its rotations"
-        yield words, found, stacks.transform(R, p @ axes)
+        yield (
+            f"positions are along {shown} of the axes of its rotations",
+            found,
+            stacks.transform(R, p @ axes),
+        )
 
 
 def _other_body(found: Array, true: Array) -> tuple[float, str]:
@@ -118,10 +122,9 @@ def _other_body(found: Array, true: Array) -> tuple[float, str]:
     place = _place(*(stacks.inverse(X[:-1]) @ X[1:] for X in (found, true)))
     fits = _errors(found, true @ se3.inverse(place))
     turn = " ".join(f"{v:.1f}" for v in Rotation.from_matrix(place[:3, :3]).as_rotvec(degrees=True))
-    away_mm = 1e3 * float(np.linalg.norm(place[:3, 3]))
     return fits.rpe_mm, (
         f"; is the truth of another body? RPE {fits.rpe_mm:.2f} mm for one turned by the vector {turn} deg,"
-        f" {away_mm:.0f} mm from the camera"
+        f" {1e3 * float(np.linalg.norm(place[:3, 3])):.0f} mm from the camera"
     )
 
 

@@ -35,5 +35,5 @@ def test_each_field_is_an_option_with_its_limits_and_default() -> None:
 
 
 def test_an_address_of_ipv6_stands_in_brackets() -> None:
-    assert host_and_port("[fe80::1%eth0]:47000", "here") == ("fe80::1%eth0", 47000)
-    assert host_and_port("plc_2.cell:502", "here") == ("plc_2.cell", 502)
+    known = {"[fe80::1%eth0]:47000": ("fe80::1%eth0", 47000), "plc_2.cell:502": ("plc_2.cell", 502)}
+    assert {text: host_and_port(text, "here") for text in known} == known

@@ -2,12 +2,14 @@
 
 import re
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+from pydantic import AfterValidator
 
 from foundation.configuration import (
-    ConfiguredFile,
     StrictModel,
+    beside,
     configuration_hash,
     load,
     merged,
@@ -184,7 +186,7 @@ def test_the_hash_follows_the_values_and_nothing_else() -> None:
 
 
 class Fitted(StrictModel):
-    drawing: ConfiguredFile
+    drawing: Annotated[Path, AfterValidator(beside)]
 
 
 def test_a_named_file_is_beside_its_configuration_or_below_it_or_else_here(

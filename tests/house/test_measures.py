@@ -16,10 +16,11 @@ BUDGET = {
     "lines of source": 82_603,
     "statements of source": 41_119,
     "statements of ROS 2": 877,
-    "statements of conformance": 4_333,
+    "statements of conformance": 4_271,
     "statements of laboratory": 1_974,
     "statements of structured text": 2_579,
-    "statements of the product": 31_348,
+    # Asked for: what is wrong in a user's input is named in our words. For it went five cases of couplers.
+    "statements of the product": 31_410,
     "lines that the three services import": 49_865,
     "lines of tests": 54_173,
     "statements of tests": 29_074,

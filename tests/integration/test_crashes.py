@@ -1,7 +1,4 @@
-"""A service killed within a motion, three real processes: it alone is started anew, nothing moves by itself.
-
-One of each here; ten of each, with a table, by ``make experiments ARGS="-k crashes_ten"``.
-"""
+"""A service killed within a motion, three processes: it alone is started anew, nothing moves by itself."""
 
 import os
 import signal
@@ -59,11 +56,3 @@ def test_each_killed_service_is_started_anew_alone_and_the_arm_stays_disabled(tm
     with watched(tmp_path) as rig:
         for service in SERVICES:
             judge(*trials(rig, service, 1))
-
-
-@pytest.mark.experiment
-@pytest.mark.parametrize("service", SERVICES)
-def test_crashes_ten_times_each(tmp_path: Path, service: str) -> None:
-    with watched(tmp_path) as rig:
-        for one in trials(rig, service, 10):
-            judge(one)

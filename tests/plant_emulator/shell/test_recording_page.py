@@ -14,7 +14,7 @@ from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import drawing
-from plant_emulator.shell.truth_message import _COLUMNS, _SCALARS, holes_of
+from plant_emulator.shell.truth_message import _COLUMNS, _SCALARS, HOLES, TruthMessage
 from plant_emulator.shell.truth_recorder import TOPICS, TruthRecorder
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.pages import page, rows
@@ -96,7 +96,11 @@ def test_a_capture_tells_where_the_drill_holes_are_in_the_camera(tmp_path: Path)
         messages = [
             (channel.topic, message.data) for _, channel, message in make_reader(stream).iter_messages()
         ]
-    told = {topic: holes_of(data) for topic, data in messages if topic in ("/plant/truth", "/plant/capture")}
+    told = {
+        topic: np.array(getattr(TruthMessage.FromString(data), HOLES)).reshape(-1, 3)
+        for topic, data in messages
+        if topic in ("/plant/truth", "/plant/capture")
+    }
     truth = plant.truth()
     X_CO = np.linalg.inv(truth.X_WC) @ truth.X_WO
     in_O = (told["/plant/capture"] - X_CO[:3, 3]) @ X_CO[:3, :3]

@@ -116,7 +116,7 @@ def test_an_answer_of_somebody_else_is_told_as_one(status: int, content: bytes, 
     ("error", "told"),
     [
         (httpx.RemoteProtocolError("illegal request line"), "no whole answer in HTTP"),
-        (httpx.ConnectError("[SSL: WRONG_VERSION_NUMBER] wrong (_ssl.c:1006)"), "no TLS is spoken there"),
+        (httpx.ConnectError("[SSL: WRONG_VERSION_NUMBER] wrong (_ssl.c:1006)"), "are mixed up"),
         (httpx.ConnectError("[Errno 111] Connection refused"), "http://host/state: Connection refused;"),
     ],
 )
