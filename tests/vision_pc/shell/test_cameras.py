@@ -255,7 +255,7 @@ async def test_a_film_is_played_at_its_own_rate_over_and_over(config: VisionConf
             if len(pairs) > 6:
                 break
     between_s = 1e-9 * (pairs[-1].capture_ns - pairs[0].capture_ns) / (pairs[-1].frame_id - pairs[0].frame_id)
-    assert between_s > 0.9 / rate_hz
+    assert between_s > 0.5 / rate_hz
     assert {round(float(pair.left.mean()), -1) for pair in pairs} == {40.0, 80.0, 120.0}
     assert {round(float(pair.right.mean()), -1) for pair in pairs} == {20.0, 40.0, 60.0}
     assert pairs[0].left.flags["C_CONTIGUOUS"]
