@@ -21,14 +21,12 @@ _PIECE_M = 10.0
 _LEAST_WAY_M = 0.05
 _MISREAD = 5.0  # [D] times less error from pose to pose: no odometry does that, another reading does
 _NEARER = 2.0  # [D] times, where turns fit so much better
-_ROUNDS, _LEAST_TURN = 20, 0.01  # of turn and lever arm, each by the other; rad a step: less is noise
-_ENOUGH = 10  # [D] poses from which on they may tell where a body is
+_LEAST_TURN = 0.01  # rad a step: less is noise
 
 
 class TrajectoryErrors(NamedTuple):
     """ATE: rms distance after the best rigid alignment. RPE: rms error of the motion from pose to pose.
     ``scale``: estimated over true, of the best similarity. Drift: mean error of pieces over their length.
-    ``question``: of which other body the truth may be, where it would fit by far.
     """
 
     poses: int
@@ -38,14 +36,13 @@ class TrajectoryErrors(NamedTuple):
     rpe_deg: float
     scale: float
     drift_percent: float | None
-    question: str = ""
 
     def __str__(self) -> str:
         drift = "" if self.drift_percent is None else f", drift {self.drift_percent:.2f} %"
         return (
             f"{self.poses} poses over {self.length_m:.2f} m: ATE {self.ate_mm:.2f} mm,"
             f" RPE {self.rpe_mm:.2f} mm {self.rpe_deg:.4f} deg a pair,"
-            f" scale {self.scale:.4f}{drift}{self.question}"
+            f" scale {self.scale:.4f}{drift}"
         )
 
 
@@ -72,13 +69,12 @@ def trajectory_errors(
     errors = _errors(estimates, truth)
     readings = [(_errors(mine, otherwise), words) for words, mine, otherwise in _readings(estimates, truth)]
     fits, words = min(readings, key=lambda reading: float(reading[0].rpe_mm))
-    elsewhere_mm, question = _other_body(estimates, truth)
     turned = errors.rpe_deg > _MISREAD * fits.rpe_deg and errors.rpe_mm > _NEARER * fits.rpe_mm
-    fitting = fits.rpe_mm < min(_NEARER * elsewhere_mm, 500.0 * errors.length_m / (len(truth) - 1))
+    fitting = fits.rpe_mm < 500.0 * errors.length_m / (len(truth) - 1)  # half of a step
     if fitting and (turned or errors.rpe_mm > _MISREAD * fits.rpe_mm):
         comparison = f"RPE {errors.rpe_mm:.2f} mm as given, {fits.rpe_mm:.2f} mm if its {words}"
         raise ConfigurationError("configuration.bad_trajectory", f"{name}: {comparison}: write it so")
-    return errors._replace(question=question if errors.rpe_mm > _MISREAD * elsewhere_mm else "")
+    return errors
 
 
 def _readings(found: Array, true: Array) -> Iterator[tuple[str, Array, Array]]:
@@ -100,7 +96,7 @@ def _readings(found: Array, true: Array) -> Iterator[tuple[str, Array, Array]]:
     for sign, words in ((1.0, ""), (-1.0, "axes are left-handed and its ")):
         mirror = np.diag([1.0, 1.0, sign, 1.0])
         X = mirror @ true @ mirror
-        shown, axes = _axes(_place(mine, stacks.inverse(X[:-1]) @ X[1:])[:3, :3])
+        shown, axes = _axes(_turn_of(mine, stacks.inverse(X[:-1]) @ X[1:]))
         away = stacks.transform(X[:, :3, :3] @ axes.T, X[:, :3, 3])
         yield f"{words}rotations are of a camera with axes {shown}", found, away
     for mirrored in (False, True):
@@ -113,34 +109,12 @@ def _readings(found: Array, true: Array) -> Iterator[tuple[str, Array, Array]]:
         )
 
 
-def _other_body(found: Array, true: Array) -> tuple[float, str]:
-    """The RPE, mm, were the truth of a body where it fits best, and whether it is, as a question: a wrong
-    scale of odometry may look alike. Infinite where too few poses tell.
-    """
-    if len(found) < _ENOUGH:
-        return math.inf, ""
-    place = _place(*(stacks.inverse(X[:-1]) @ X[1:] for X in (found, true)))
-    fits = _errors(found, true @ se3.inverse(place))
-    turn = " ".join(f"{v:.1f}" for v in Rotation.from_matrix(place[:3, :3]).as_rotvec(degrees=True))
-    return fits.rpe_mm, (
-        f"; is the truth of another body? RPE {fits.rpe_mm:.2f} mm for one turned by the vector {turn} deg,"
-        f" {1e3 * float(np.linalg.norm(place[:3, 3])):.0f} mm from the camera"
-    )
-
-
-def _place(mine: Array, other: Array) -> Array:
-    """The pose (4, 4) in the camera of a body that makes the motions ``other`` (n, 4, 4) where the camera
-    makes ``mine``.
-    """
+def _turn_of(mine: Array, other: Array) -> Array:
+    """The rotation (3, 3) that takes the motions ``other`` (n, 4, 4) nearest to ``mine``."""
     turns = [Rotation.from_matrix(X[:, :3, :3]).as_rotvec() for X in (other, mine)]
     weight = np.linalg.norm(other[:, :3, 3]) / max(np.linalg.norm(turns[0]), _LEAST_TURN * len(mine) ** 0.5)
-    aside, R, lever = mine[:, :3, :3] - np.eye(3), np.eye(3), np.zeros(3)
-    for _ in range(_ROUNDS):
-        steps = np.concatenate([other[:, :3, 3], weight * turns[0]])
-        R[:] = _nearest_turn(steps, np.concatenate([mine[:, :3, 3] + aside @ lever, weight * turns[1]]))
-        off = other[:, :3, 3] @ R.T - mine[:, :3, 3]
-        lever[:] = np.linalg.lstsq(aside.reshape(-1, 3), off.ravel(), rcond=1e-3)[0]
-    return se3.transform(R, lever)
+    steps = [np.concatenate([X[:, :3, 3], weight * of]) for X, of in zip((other, mine), turns, strict=True)]
+    return _nearest_turn(steps[0], steps[1])
 
 
 def _axes(turn: Array) -> tuple[str, Array]:

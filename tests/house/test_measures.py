@@ -64,14 +64,6 @@ def test_a_patch_fits_above_every_limit_and_no_more() -> None:
     assert len(over_budget({what: limit + 101 for what, limit in BUDGET.items()})) == len(BUDGET)
 
 
-def test_merged_modules_and_joined_lines_weigh_as_much() -> None:
-    apart = '"""Text."""\nimport os\n\n\ndef f(x):\n    """Text."""\n    y = x\n    return y\n'
-    tree = ast.parse("import os\ndef f(x): y = x; return y")
-    joined = measures.Module("b", measures.ROOT / "b.py", "", tree)
-    whole = measures.Module("a", measures.ROOT / "a.py", apart, ast.parse(apart))
-    assert measures.statements([whole]) == measures.statements([joined]) == 3
-
-
 def test_no_folder_has_more_than_twenty_rooms(every: list[measures.Module]) -> None:
     rooms = measures.rooms(every)
     assert {folder: count for folder, count in rooms.items() if count > measures.MAX_ROOMS} == {}

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import httpx
 import numpy as np
 
-from testbed.reporting.console import out, table
-
 READY_S = 90.0  # of a service, and of all links, on a busy machine
 HOLD_S = 1.5  # watched after everything is ready again
 LEAK_MM = 20.0  # a disabled arm sinks by less in that time
@@ -121,22 +119,8 @@ def trial(rig: Rig, service: str, up_m: float) -> CrashTrial:
 
 
 def trials(rig: Rig, service: str, count: int) -> list[CrashTrial]:
-    """Several, up and down in turn; a table of them is printed."""
-    made = [trial(rig, service, 0.15 if number % 2 else -0.15) for number in range(count)]
-    rows = [
-        (
-            f"{t.moving_mm_s:.0f}",
-            f"{t.ready_s:.1f}",
-            f"{t.moved_mm:.1f}",
-            t.valves,
-            t.group_state,
-            t.others_live,
-        )
-        for t in made
-    ]
-    columns = ("mm/s before", "s until ready", f"mm in {HOLD_S} s after", "valves", "group", "others live")
-    out.print(table(f"SIGKILL of {service}", columns, rows))
-    return made
+    """Several, up and down in turn."""
+    return [trial(rig, service, 0.15 if number % 2 else -0.15) for number in range(count)]
 
 
 def judge(one: CrashTrial) -> None:

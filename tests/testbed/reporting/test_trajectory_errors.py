@@ -1,6 +1,5 @@
 """ATE, RPE, scale and drift of trajectories whose errors are known."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -68,10 +67,7 @@ def test_a_truth_in_another_reading_is_named() -> None:
     rolled = Rotation.from_quat(
         np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)
     )  # w first, taken for last
-    mirror, aside = (
-        np.diag([1.0, -1.0, 1.0, 1.0]),
-        se3.transform(se3.exp_so3([0.2, -0.1, 1.5]), (0.1, 0.2, -0.3)),
-    )
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
     for written, words in (
         (np.linalg.inv(true), "of the world in the camera"),
         (stacks.transform(rolled.as_matrix(), p), "quaternions are w"),
@@ -82,8 +78,6 @@ def test_a_truth_in_another_reading_is_named() -> None:
     ):
         with pytest.raises(ConfigurationError, match=words):
             trajectory_errors(noisy, times_s, written, "t")
-    another_body = r"another body\? RPE .* turned by the vector .* deg, 3\d\d mm from the camera"
-    assert re.search(another_body, trajectory_errors(noisy, times_s, true @ aside, "t").question)
 
 
 def test_what_odometry_does_wrong_is_not_the_truths_reading() -> None:

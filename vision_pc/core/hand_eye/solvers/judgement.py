@@ -47,10 +47,10 @@ _EXPLAINS = 1.5  # the same, where there is no solution
 _SCALE_QUESTIONED, _SCALE_REFUSED, _SCALE_SIGMAS = 0.01, 0.05, 5.0  # |λ − 1|, and how many σ it must be off
 _NOISE_DEG, _NOISE_SHARE, _CORNER_PX = 2.0, 0.05, 0.3  # a share of the target's median distance
 _REFUSE = 5.0  # times as much refuses
-_NOISY, _APART = (
+_NOISY, _APART = [
     "blurred pictures, another camera's intrinsics, a moved target, or poses that do not belong together",
     "rotations fit and positions do not: one side's are in other axes or units, or were half inverted",
-)
+]
 _APART_SHARE = 0.01  # [D] of the target's distance: less is no mistake of a convention
 
 
