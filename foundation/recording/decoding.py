@@ -53,8 +53,9 @@ def _json(form: Format, data: bytes) -> Any:
     try:
         return parse_json(data.decode())
     except ValueError as error:
-        why = f"{form.schema}: {data[:40]!r} is no JSON in UTF-8"
-        raise UndecodableMessage("recording.undecodable", why) from error
+        raise UndecodableMessage(
+            "recording.undecodable", f"{form.schema}: {data[:40]!r} is no JSON in UTF-8"
+        ) from error
 
 
 def class_in(form: Format) -> Any:

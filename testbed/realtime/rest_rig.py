@@ -200,8 +200,9 @@ def answered(response: httpx.Response) -> JSON:
         return answer
     leads = f", which leads to {response.headers['location']}" if response.has_redirect_location else ""
     why = f"{response.reason_phrase}{leads}, and no object of JSON: something else than Longreach answers"
-    status, where = response.status_code, _shown(response.request.url)
-    raise LinkLost(f"rest.{status}", f"{where}: {status} {why}")
+    raise LinkLost(
+        f"rest.{response.status_code}", f"{_shown(response.request.url)}: {response.status_code} {why}"
+    )
 
 
 def _shown(url: httpx.URL) -> str:

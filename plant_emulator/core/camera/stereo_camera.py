@@ -117,19 +117,6 @@ class StereoCamera:
         left, right = (eye.true.project(X_WC, points) for eye in self.eyes)
         return left, right
 
-    def project_corners(
-        self, X_WC: Matrix, X_WM: Matrix, X_WO: Matrix | None = None
-    ) -> dict[int, tuple[Matrix, Matrix]]:
-        """Marker id → its four printed corners in (left, right), (4, 2) px each, in ArUco's order.
-
-        ``X_WO``: None where the scene has it.
-        """
-        parents = {"O": self.scene.mounts.X_WO if X_WO is None else X_WO, "M": X_WM}
-        return {
-            marker: self.project(X_WC, corners @ parents[parent][:3, :3].T + parents[parent][:3, 3])
-            for marker, (parent, corners) in self.scene.marker_corners().items()
-        }
-
     def _captured(self, eye: int, capture: Capture, covers: Sequence[Cover] = ()) -> Grey:
         """One eye's picture of a capture."""
         picture, config = self.eyes[eye].painted(capture, covers), self.config

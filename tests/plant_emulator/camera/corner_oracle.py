@@ -7,6 +7,8 @@ area, whatever the point spread; no gradient, no interpolation, nothing shared w
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core.camera.stereo_camera import StereoCamera
+
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 
@@ -52,3 +54,17 @@ def _edge_line(picture: Grey, a: Matrix, b: Matrix, half_window: int, end_gap: f
 
 def _crossing(first: Matrix, second: Matrix) -> Matrix:
     return np.linalg.solve(np.array([first[:2], second[:2]]), np.array([first[2], second[2]]))
+
+
+def project_corners(
+    eyes: StereoCamera, X_WC: Matrix, X_WM: Matrix, X_WO: Matrix | None = None
+) -> dict[int, tuple[Matrix, Matrix]]:
+    """Marker id → its four printed corners in (left, right), (4, 2) px each, in ArUco's order.
+
+    ``X_WO``: None where the scene has it.
+    """
+    parents = {"O": eyes.scene.mounts.X_WO if X_WO is None else X_WO, "M": X_WM}
+    return {
+        marker: eyes.project(X_WC, corners @ parents[parent][:3, :3].T + parents[parent][:3, 3])
+        for marker, (parent, corners) in eyes.scene.marker_corners().items()
+    }

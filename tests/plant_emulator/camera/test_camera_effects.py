@@ -20,7 +20,7 @@ from tests.plant_emulator.camera.camera_world import (
     start_view,
     wall_view,
 )
-from tests.plant_emulator.camera.corner_oracle import refined_corners
+from tests.plant_emulator.camera.corner_oracle import project_corners, refined_corners
 from tests.plant_emulator.camera.test_stereo_camera import shift_between
 
 
@@ -63,7 +63,7 @@ def test_a_misprinted_marker_is_as_large_as_it_was_printed() -> None:
     for scale_error in (0.0, 0.03):
         eyes = clean(tool_marker={"print_scale_error": scale_error, "quiet_zone_m": 0.02})
         corners = refined_corners(
-            eyes.render_eye(LEFT, view, 1), eyes.project_corners(*view)[0][LEFT], 4, 6.0
+            eyes.render_eye(LEFT, view, 1), project_corners(eyes, *view)[0][LEFT], 4, 6.0
         )
         assert corners is not None
         sides.append(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))

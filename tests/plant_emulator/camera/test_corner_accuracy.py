@@ -17,7 +17,7 @@ from tests.plant_emulator.camera.camera_world import (
     clean_camera,
     random_view,
 )
-from tests.plant_emulator.camera.corner_oracle import refined_corners
+from tests.plant_emulator.camera.corner_oracle import project_corners, refined_corners
 
 POSES = 200
 LIMIT_PX = 0.02
@@ -30,7 +30,7 @@ def corner_errors(eyes: StereoCamera, views: list[CameraView]) -> Matrix:
     for frame_id, view in enumerate(views):
         eye = (LEFT, RIGHT)[frame_id % 2]
         picture = eyes.render_eye(eye, view, frame_id)
-        projected = {key: pair[eye] for key, pair in eyes.project_corners(view.X_WC, view.X_WM).items()}
+        projected = {key: pair[eye] for key, pair in project_corners(eyes, view.X_WC, view.X_WM).items()}
         tool = eyes.scene.config.tool_marker.marker_id
         for marker, corners in projected.items():
             if marker != tool and _near(corners, projected[tool]):

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tests.plant_emulator.camera.camera_world import CLEAN, camera, start_view
+from tests.plant_emulator.camera.corner_oracle import project_corners
 
 RAW = {
     "lens": {"fx_px": 533.4, "fy_px": 532.7, "cx_px": 651.6, "cy_px": 348.3, "k1": -0.12, "k2": 0.02,
@@ -19,7 +20,7 @@ def test_markers_lie_where_opencv_projects_them_in_both_raw_eyes() -> None:
     eyes = camera(CLEAN | {"camera": CLEAN["camera"] | RAW})
     view = start_view(eyes.scene)
     pair = eyes.render(view.X_WC, view.X_WM, 1)
-    exact = eyes.project_corners(view.X_WC, view.X_WM)
+    exact = project_corners(eyes, view.X_WC, view.X_WM)
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
     for k, picture in enumerate(pair):
         found, numbers, _ = detector.detectMarkers(picture)

@@ -26,7 +26,7 @@ from tests.plant_emulator.camera.camera_world import (
     start_view,
     wall_view,
 )
-from tests.plant_emulator.camera.corner_oracle import refined_corners
+from tests.plant_emulator.camera.corner_oracle import project_corners, refined_corners
 from tests.support.paths import CONFIGS
 
 DIFFERENT = {"fx_px": 0.26, "fy_px": -0.2, "k1": 0.0015, "k2": -0.0004, "p1": -0.0002, "p2": 0.0002}
@@ -181,7 +181,7 @@ def test_a_misplaced_marker_is_seen_where_it_hangs() -> None:
     side = hung[1] - hung[0]
     assert np.degrees(np.arctan2(side[1], side[0])) == pytest.approx(1.0)
     view = start_view(eyes.scene)
-    expected = eyes.project_corners(*view)[markers[0]["marker_id"]][LEFT]
+    expected = project_corners(eyes, *view)[markers[0]["marker_id"]][LEFT]
     assert np.abs(found_in(eyes.render_eye(LEFT, view, 1), expected) - expected).max() < FOUND_PX
 
 
@@ -195,7 +195,7 @@ def test_a_bent_plates_corners_stand_off_its_middle(direction_deg: float) -> Non
     rise = [0.004] * 4 if direction_deg != 45.0 else [0.0, 0.008, 0.0, 0.008]
     np.testing.assert_allclose(corners[:, 2], rise, atol=1e-12)
     oblique = wall_view(eyes.scene, 0.7, (0.0, 25.0, 0.0))
-    expected = eyes.project_corners(*oblique)[marker["marker_id"]][LEFT]
+    expected = project_corners(eyes, *oblique)[marker["marker_id"]][LEFT]
     flat_O = (corners * [1, 1, 0]) @ eyes.scene.mounts.X_WO[:3, :3].T + eyes.scene.mounts.X_WO[:3, 3]
     flat, _ = eyes.project(oblique.X_WC, flat_O)
     picture = eyes.render_eye(LEFT, oblique, 1)

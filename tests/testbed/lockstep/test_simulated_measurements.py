@@ -23,6 +23,7 @@ from testbed.lockstep.simulated_measurements import (
 from testbed.lockstep.simulated_odometry import TrackingNoise
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.scenario import Settings, load_settings
+from tests.plant_emulator.camera.corner_oracle import project_corners
 from tests.support.paths import CONFIGS
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Watcher
@@ -103,7 +104,7 @@ def test_the_view_is_the_renderers_own() -> None:
     scene = Scene(config.scene)
     truth = Plant(config.plant, 1, scene.mounts).truth()
     camera = StereoCamera(config.scene.camera, scene, 1)
-    exact = camera.project_corners(truth.X_WC, truth.X_WM)
+    exact = project_corners(camera, truth.X_WC, truth.X_WM)
     seen = TrueView(config.scene.camera, scene).markers(shown(truth.X_WC, truth.X_WM))
     assert seen.keys() == exact.keys()
     compared = 0
