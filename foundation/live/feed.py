@@ -40,12 +40,7 @@ class LiveFeed:
     written = 0
 
     def __init__(
-        self,
-        service: str,
-        log: EventLog,
-        feeds: str,
-        metrics: Callable[[], str],
-        fifo_priority: int = 0,
+        self, service: str, log: EventLog, feeds: str, metrics: Callable[[], str], fifo_priority: int = 0
     ) -> None:
         """``metrics`` returns what Prometheus is told; it is called by the feed's thread, when asked.
 

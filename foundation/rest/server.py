@@ -21,15 +21,7 @@ from foundation.configuration import fault_reason, fault_words
 from foundation.event_log import EventLog
 from foundation.rest.door import Door
 from foundation.rest.guard import Access, Guard
-from foundation.rest.problems import (
-    MEDIA_TYPE,
-    Advise,
-    Refusal,
-    RefusalLog,
-    advised,
-    problem,
-    problem_of,
-)
+from foundation.rest.problems import MEDIA_TYPE, Advise, Refusal, RefusalLog, advised, problem, problem_of
 from protocol.errors import LongreachError
 
 _DRAIN_S = 1  # for answers under way at the end; a service must be gone within 2 s

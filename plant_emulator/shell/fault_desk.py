@@ -11,11 +11,7 @@ from foundation.rest.tokens import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out
-from plant_emulator.core.faults.schedule import (
-    MOST_BYTES,
-    OrderMessage,
-    RestartOrder,
-)
+from plant_emulator.core.faults.schedule import MOST_BYTES, OrderMessage, RestartOrder
 from plant_emulator.core.plant import Plant
 from protocol.errors import LinkLost
 

@@ -120,12 +120,7 @@ class Ticker:
     """Lets time pass for ``clock`` and all parts; ``pace``: times real time at most, None: as it can."""
 
     def __init__(
-        self,
-        clock: GivenClock,
-        period_ns: int,
-        pace: float | None,
-        body: TickerBody,
-        log: EventLog,
+        self, clock: GivenClock, period_ns: int, pace: float | None, body: TickerBody, log: EventLog
     ) -> None:
         self.parts: list[_Part] = []
         self.changed = asyncio.Event()

@@ -35,11 +35,7 @@ _SHAPES = {"pressures": (len(JOINTS), 2), "flows": (len(JOINTS), 2)}
 _MATRICES = dict.fromkeys(("X_BT", "X_WB", "X_WT", "X_WC", "X_WM", "X_WO"), (4, 4)) | dict.fromkeys(
     ("R_CM", "R_CO"), (3, 3)
 )
-_SCALARS = {
-    "supply": "supply_pa",
-    "oil_temperature_degc": "oil_temperature_degc",
-    "payload_kg": "payload_kg",
-}
+_SCALARS = {"supply": "supply_pa", "oil_temperature_degc": "oil_temperature_degc", "payload_kg": "payload_kg"}
 
 
 def _fields() -> Iterator[MessageField]:
@@ -63,10 +59,7 @@ _flat_of = attrgetter(*_FLAT)
 
 
 def truth_bytes(
-    truth: PlantTruth,
-    frame_id: int | None,
-    holes_O: Array | None = None,
-    motion: CameraMotion | None = None,
+    truth: PlantTruth, frame_id: int | None, holes_O: Array | None = None, motion: CameraMotion | None = None
 ) -> bytes:
     """The message of a truth; ``frame_id`` None: it belongs to no frame.
 

@@ -105,8 +105,7 @@ ObservationMessage = message_class(
     ],
 )
 OdometryStartMessage = message_class(
-    "OdometryStart",
-    [*_integers("odometry", "previous", "capture_ns"), MessageField("corrected", "bool")],
+    "OdometryStart", [*_integers("odometry", "previous", "capture_ns"), MessageField("corrected", "bool")]
 )
 OdometryMessage = message_class(
     "Odometry",

@@ -19,13 +19,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from foundation.event_log import Level
 from foundation.recording.mcap_file import Topic
-from foundation.recording.messages import (
-    EventMessage,
-    RecordingThread,
-    event_bytes,
-    format_of,
-    log_line,
-)
+from foundation.recording.messages import EventMessage, RecordingThread, event_bytes, format_of, log_line
 from foundation.recording.recorder import OpenSink, ServiceRecorder
 from protocol.clock_offset import OffsetEstimate
 from protocol.reference_messages import Command, Request, StreamedPose
@@ -35,14 +29,7 @@ from vision_pc.config.vision import RecordingSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.perception.watch import Odometry, Sensor
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import (
-    CameraErrors,
-    FrameObservation,
-    Look,
-    OdometryPose,
-    StereoPair,
-    WatchSample,
-)
+from vision_pc.core.types import CameraErrors, FrameObservation, Look, OdometryPose, StereoPair, WatchSample
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_pictures as pictures
 

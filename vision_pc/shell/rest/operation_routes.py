@@ -97,8 +97,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
     202: {"headers": {"Location": _TEXT, "Preference-Applied": _TEXT}},
 }
 _Key = Annotated[
-    str | None,
-    Header(alias="Idempotency-Key", min_length=1, max_length=100, description=_KEY_LIVES),
+    str | None, Header(alias="Idempotency-Key", min_length=1, max_length=100, description=_KEY_LIVES)
 ]
 
 
@@ -124,10 +123,7 @@ def add_unknown(app: FastAPI, known: Sequence[str]) -> None:
 
 
 def _add_program(
-    app: FastAPI,
-    application: VisionApplication,
-    operations: Operations,
-    program: Program[Any, Any],
+    app: FastAPI, application: VisionApplication, operations: Operations, program: Program[Any, Any]
 ) -> None:
     nothing = _empty(program.body)
     left_out: Any = Body() if nothing is None else None  # FastAPI's mark of a body that is wanted

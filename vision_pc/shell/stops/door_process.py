@@ -34,12 +34,7 @@ class DoorProcess:
     """
 
     def __init__(
-        self,
-        listener: socket.socket,
-        service: str,
-        access: Access,
-        key: LinkKey | None,
-        refusals: RefusalLog,
+        self, listener: socket.socket, service: str, access: Access, key: LinkKey | None, refusals: RefusalLog
     ) -> None:
         memory = new_memory()
         self._numbers = SharedNumbers(memory)

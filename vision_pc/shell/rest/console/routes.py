@@ -22,11 +22,7 @@ from foundation.rest.guard import Role
 from protocol.errors import LongreachError, RequestRefused
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice
-from vision_pc.application.console.overview import (
-    Overview,
-    predicted_by,
-    session_state,
-)
+from vision_pc.application.console.overview import Overview, predicted_by, session_state
 from vision_pc.application.results import JSON
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.rest.operations import Operation, Operations
