@@ -125,14 +125,16 @@ def parse_yaml(text: str, where: str, loader: type[StrictLoader] = StrictLoader)
             if depth > _MOST_LEVELS:
                 raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels: {event.start_mark}")
         return yaml.load(text, Loader=loader)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeEncodeError) as error:
         raise ConfigurationError("configuration.not_yaml", f"{where}: {_misspelt(error)}") from error
     except ConfigurationError as error:
         raise ConfigurationError(error.cause, f"{where}: {error}") from error
 
 
-def _misspelt(error: yaml.YAMLError) -> str:
+def _misspelt(error: yaml.YAMLError | UnicodeEncodeError) -> str:
     """Where and why a text is no YAML, in words of ours where the parser's say little."""
+    if isinstance(error, UnicodeEncodeError):  # of a byte that is no UTF-8 on the command line
+        return f"character {error.start + 1} is none of Unicode"
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return " ".join(str(error).replace(' in "<unicode string>",', " at").split())
     at, begun, said = error.problem_mark, error.context_mark, error.problem or ""

@@ -36,7 +36,7 @@ class StrictLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
-        for written, _ in node.value:
+        for written, _ in node.value if isinstance(node, yaml.MappingNode) else ():
             if written.tag == f"{_YAML}merge":
                 continue  # of keys that are merged in, the mapping's own take the place
             key = self.construct_object(written, deep=True)

@@ -63,7 +63,12 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
     proof = "proven" if answer["certificate"]["holds"] else "NOT proven"
     _say(f"global optimum {proof}: least eigenvalue {answer['certificate']['least_eigenvalue']:.1e}")
     rows = [
-        (r["name"], _three(r["mm"], 2), _three(r["deg"], 3), "left out" * (r["name"] in answer["left_out"]))
+        (
+            r["name"],
+            _three(r["mm"], 2),
+            _three(r["deg"], 3),
+            "left out" if r["name"] in answer["left_out"] else "",
+        )
         for r in answer["residuals"]
     ]
     out.print(table("residuals in the camera", ("sample", "mm", "°", ""), rows))

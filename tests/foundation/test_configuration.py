@@ -65,7 +65,8 @@ def test_an_assignment_needs_a_file_a_key_and_a_value(assignment: str) -> None:
 
 
 def test_a_value_that_is_not_yaml_is_refused() -> None:
-    assert cause_of_overrides("plant.seed=[1,") == "configuration.not_yaml"
+    for value in ("[1,", "\udcff", "!!map [1]"):  # the second: a byte that is no UTF-8
+        assert cause_of_overrides(f"plant.seed={value}") == "configuration.not_yaml"
     assert cause_of_overrides("plant.map={a: 1, a: 2}") == "configuration.duplicate_key"
 
 
@@ -109,6 +110,7 @@ def refused_for(directory: Path, text: str, cause: str) -> str:
     [
         ("links: !!set {a}", "not_yaml", "line 2, column 8: such a tag is not read"),
         ("links: !!binary aGk=", "not_yaml", "line 2, column 8: such a tag is not read"),
+        ("links: !!map [1]", "not_yaml", "line 2, column 8: expected a mapping node"),
         ("links: !mine 5", "not_yaml", "line 2, column 8: such a tag is not read"),
         ("links: !!bool x", "not_yaml", "line 2, column 8: 'x' is no number"),
         ("links: !!bool 1", "tuple_type", "links = 1: a list is wanted"),

@@ -118,6 +118,7 @@ def test_a_zed_file_is_converted_and_a_bad_size_is_named(tmp_path: Path) -> None
     assert ended("convert", zed, "--size", "1280x720", "--out", to).exit_code == 0
     assert read_calibration(to) == read_calibration(zed, (1280, 720))
     assert "WIDTHxHEIGHT is wanted" in ended("convert", zed, "--size", "720p").stderr
+    assert "for pictures of 1280x720, --size says 640x360" in ended("convert", to, "--size", "640x360").stderr
     asked = ended("convert", zed)
     assert asked.exit_code == 2
     assert "give --size WIDTHxHEIGHT of one eye" in asked.stderr
