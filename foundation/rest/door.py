@@ -7,6 +7,7 @@ whatever strangers send, a turn stays short.
 """
 
 import asyncio
+import contextlib
 import socket
 from collections import Counter, OrderedDict, deque
 from collections.abc import Awaitable
@@ -173,6 +174,7 @@ class DoorConnection(asyncio.Protocol):
         self._answering: asyncio.Task[None] | None = None
         self._deadline: asyncio.TimerHandle | None = None
         self._begun = self._queued = self._surplus = self._ending = False
+        self._ahead: asyncio.Future[tuple[int, Refusal]] | None = None
         self._writable = asyncio.Event()
         self._writable.set()
 
@@ -194,6 +196,8 @@ class DoorConnection(asyncio.Protocol):
         elif len(self._received) > _MOST_AHEAD:
             self._door.guard.counted(_TOO_FAR_AHEAD, self.address)
             self.end()
+        else:
+            self._begin_ahead()
 
     def pause_writing(self) -> None:
         self._writable.clear()
@@ -237,6 +241,7 @@ class DoorConnection(asyncio.Protocol):
             self._forget_deadline()
             whole = self._answer(self._head, body or b"", body is not None)
             self._answering = asyncio.get_running_loop().create_task(whole)
+            self._begin_ahead()
 
     def _consider(self) -> None:
         """A stop at once, also on a connection too many; everything else when its turn comes."""
@@ -254,6 +259,18 @@ class DoorConnection(asyncio.Protocol):
         elif ended or len(self._received) >= _FIRST_LINE:
             self._refuse(self._door.guard.counted(_TOO_MANY, self.address))
 
+    def _begin_ahead(self) -> None:
+        """Begin a stop that came behind a request which is still being answered: its own answer waits."""
+        if self._stopping is not None or self._ahead is not None or self._door.stops is None:
+            return
+        with contextlib.suppress(RequestUnreadable):  # which is answered in its turn, as a refusal is
+            head = take_head(bytearray(self._received))
+            stop = self._door.stop_of(head.target) if head is not None and head.method == "POST" else None
+            if head is None or stop is None or self._door.guard.refusal(self._guarded_request(head, stop)):
+                return
+            if (begun := self._door.stops.begin(stop)) is not None:
+                self._ahead = asyncio.ensure_future(begun)
+
     def _admitted(self, head: Head | None) -> Head | None:
         """The head of a request whose body is wanted, a stop's as its path is written here; None: no further.
 
@@ -269,7 +286,9 @@ class DoorConnection(asyncio.Protocol):
             self._transport.write(answer(HTTPStatus.NO_CONTENT, None, head.keeps, Allow="OPTIONS, POST"))
             self._answered(head.keeps)
         elif stop is not None and head.method == "POST":
-            self._stopping = None if self._door.stops is None else self._door.stops.begin(stop)
+            self._stopping, self._ahead = self._ahead, None
+            if self._stopping is None and self._door.stops is not None:
+                self._stopping = self._door.stops.begin(stop)
             if head.endless is None or self._stopping is not None:
                 return head._replace(target=stop)
             raise head.endless

@@ -197,12 +197,25 @@ def answered(response: httpx.Response) -> JSON:
     except ValueError:
         answer = None
     if isinstance(answer, dict):
-        return answer
+        return ServiceAnswer(response, answer)
     leads = f", which leads to {response.headers['location']}" if response.has_redirect_location else ""
-    why = f"{response.reason_phrase}{leads}, and no object of JSON: something else than Longreach answers"
-    raise LinkLost(
-        f"rest.{response.status_code}", f"{_shown(response.request.url)}: {response.status_code} {why}"
-    )
+    raise _foreign(response, f"{leads}, and no object of JSON")
+
+
+class ServiceAnswer(dict[str, Any]):
+    """An object that was answered. A key that it lacks raises LinkLost: somebody else answered."""
+
+    def __init__(self, response: httpx.Response, answer: JSON) -> None:
+        super().__init__(answer)
+        self._response = response
+
+    def __missing__(self, key: str) -> Any:
+        raise _foreign(self._response, f" with no {key!r} in it")
+
+
+def _foreign(response: httpx.Response, what: str) -> LinkLost:
+    why = f"{_shown(response.request.url)}: {response.status_code} {response.reason_phrase}{what}"
+    return LinkLost(f"rest.{response.status_code}", f"{why}: something else than Longreach answers")
 
 
 def _shown(url: httpx.URL) -> str:

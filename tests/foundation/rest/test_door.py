@@ -294,6 +294,23 @@ def test_half_open_and_idle_connections_yield_and_what_is_served_stays(api: Api)
         assert one_answer(served).startswith(b"HTTP/1.1 200")
 
 
+@pytest.mark.parametrize("pieces", [[SLOW, STOP], [SLOW + STOP], [SLOW + STOP[:20], STOP[20:]]])
+def test_a_stop_behind_a_request_that_waits_is_begun_at_once_and_answered_in_its_turn(
+    api: Api, pieces: list[bytes]
+) -> None:
+    with api.connect() as sock:
+        for piece in pieces:
+            sock.sendall(piece)
+            until(lambda: api.begun == ["slow"])
+        until(lambda: api.stops.begun == ["/stop"])
+        api.release.set()
+        received = b""
+        while not received.endswith(b'{"accepted": true}'):
+            received += one_answer(sock)
+        assert b'"at last"HTTP/1.1 200 OK' in received
+        assert api.stops.begun == ["/stop"]
+
+
 def test_a_client_that_does_not_wait_for_answers_is_ended_and_one_that_is_ahead_a_little_served(
     api: Api,
 ) -> None:

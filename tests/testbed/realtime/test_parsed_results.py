@@ -1,6 +1,6 @@
 """What a program returns and what is read from the API's answer of it are the same."""
 
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 import httpx
 import numpy as np
@@ -110,6 +110,16 @@ def test_an_answer_of_somebody_else_is_told_as_one(status: int, content: bytes, 
         answered(httpx.Response(status, content=content, headers=location, request=asked))
     assert refused.value.cause == f"rest.{status}"
     assert f"http://host/state: {told}" in str(refused.value)
+
+
+def test_an_object_of_another_service_is_told_as_one() -> None:
+    rig = RestRig("http://host")
+    foreign = httpx.Response(200, content=b'{"status": "up"}', request=httpx.Request("GET", "http://host/x"))
+    with patch.object(httpx.Client, "send", return_value=foreign):
+        for ask in (rig.now_ns, rig.latest_look, lambda: rig.result("look", {}, Mock())):
+            with pytest.raises(LinkLost, match=r"http://host/x: 200 OK with no '\w+' in it: something else"):
+                ask()
+    rig.close()
 
 
 @pytest.mark.parametrize(
