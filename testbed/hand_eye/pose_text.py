@@ -29,11 +29,15 @@ _BETWEEN = re.compile(r'[,;\s\[\](){}"=]+|:(?=[\s=\[{])')
 _CLOSING = re.compile(r"[\s\])};,]+$")
 _NUMBER = re.compile(r"(?i)[-+\u2212]?[\d.]+(e[-+]?\d+)?")
 _NO_NAME = re.compile(r"(?i)[-+.\u2212\d]|(nan|inf)\b")
+# A column's name: what stands before the letter of its axis, that letter, a unit.
 _COLUMN = re.compile(
-    r"(?i)(?<![\w.])((?:[\w.]*[_.])?(?:[pqtr]|pos|trans|rot|quat|orient|(?:posi|transla|rota|orienta)tion"
-    r"|quaternion)?_?)([wxyz])(?:_c?mm?)?(?![\w.])"
+    r"((?:[\w.]*[_.])?(?:[pqtr]|pos|trans|rot|quat|orient|(?:posi|transla|rota|orienta)tion|quaternion)?[_.]?)"
+    r"([wxyzsrijk0-4])(?:_(?:c?mm?|deg|rad))?"
 )
-_TURNS = re.compile(r"(?i)(?:^|[_.])(?:q|rot|orient)|^r_?$")
+_ANGLE = re.compile(r"(?:[\w.]*[_.])?(roll|pitch|yaw)(?:_(?:deg|rad))?")
+_TURNS = re.compile(r"(?:^|[_.])(?:q|rot|orient)|^r_?$")
+_AXES = dict(zip("wxyzsrijk0123", "wxyzwwxyzwxyz", strict=True)) | {"roll": "x", "pitch": "y", "yaw": "z"}
+_FANUC = {"w": "roll", "p": "pitch", "r": "yaw"}
 _COLUMN_UNIT = re.compile(r"(?im)^\W*[a-z].*(?:\b|_)(?:[pt]|pos)?[xyz][\s_]*[\[(]?(mm|cm)\b")
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
@@ -76,22 +80,45 @@ def pose_lines(path: Path) -> list[PoseLine]:
     return found
 
 
-def heading(path: Path) -> tuple[list[int] | None, str | None]:
-    """Where x y z and q_w q_x q_y q_z are among the seven columns of a pose, and the unit of lengths, as the
-    file names them; None each where it does not. Raises RequestRefused.
+def heading(
+    path: Path, turns: str = "wxyz", columns: list[int] | None = None
+) -> tuple[list[int] | None, str | None]:
+    """Where x y z and the ``turns`` are among the columns of a pose (of a quaternion, or the axes of Euler
+    angles in their order), and the unit of lengths, as the file names them; ``columns`` and None where it
+    does not. Raises RequestRefused for names that do not tell, where there are no ``columns``.
     """
     text = file_text(path)
     unit = _COLUMN_UNIT.search(text)
-    for line in filter(re.compile("[wW]").search, text.splitlines()):
-        named = _COLUMN.findall(line)[:7]
-        axes = "".join(axis.lower() for _, axis in named)
-        turn = 0 if named and _TURNS.search(named[0][0]) else 3
-        others = [k for k in range(len(axes)) if not turn <= k < turn + 4]
-        place, turned = [axes[k] for k in others], list(axes[turn : turn + 4])
-        if sorted(place) == list("xyz") and sorted(turned) == list("wxyz"):
-            columns = [others[place.index(axis)] for axis in "xyz"]
-            return columns + [turn + turned.index(axis) for axis in "wxyz"], unit and unit[1].lower()
-    return None, unit and unit[1].lower()
+    length = None if unit is None else unit[1].lower()
+    for line in filter(re.compile("[xyzXYZ]").search, text.splitlines()):
+        named = _named_axes(line)[: 3 + len(turns)]
+        axes, turned = [axis for _, axis in named], [k for k, (turn, _) in enumerate(named) if turn]
+        for first in (3, 0):
+            others = [k for k in range(len(axes)) if not first <= k < first + len(turns)]
+            place, turn = [axes[k] for k in others], axes[first : first + len(turns)]
+            if sorted(place) == list("xyz") and sorted(turn) == sorted(turns) and not {*turned} & {*others}:
+                at = [others[place.index(axis)] for axis in "xyz"]
+                return at + [first + turn.index(axis) for axis in turns], length
+        if len(axes) == 7 and len(turned) == 4 and columns is None:
+            why = f"which column is w is not told by {line.strip()[:80]!r}: name them qw qx qy qz"
+            raise RequestRefused("refused.hand_eye.format", f"{path.name}: {why}")
+    return columns, length
+
+
+def _named_axes(line: str) -> list[tuple[bool, str]]:
+    """Whether it turns, and its axis, of every column that ``line`` names."""
+    words = [word for word in re.split(r"[^\w.]+", line.lower()) if word]
+    if words[3:6] == list(_FANUC) or words[:3] == list(_FANUC):
+        words = [_FANUC.get(word, word) for word in words]
+    found = []
+    for word in words:
+        if angle := _ANGLE.fullmatch(word):
+            found.append((True, _AXES[angle[1]]))
+        elif column := _COLUMN.fullmatch(word):
+            turns = bool(_TURNS.search(column[1])) or (column[2] in "ijk" and {*"wijk"} <= {*words})
+            if turns or column[2] in "wxyz":
+                found.append((turns, _AXES.get(column[2], column[2])))
+    return found
 
 
 def unit_scale(name: Any) -> float:
@@ -169,9 +196,12 @@ def read_robot_poses(
         raise RequestRefused(
             "refused.hand_eye.format", f"Euler order {order!r}: such as ZYX or xyz is wanted"
         )
-    columns, written = heading(path)
+    angles = form in (PoseForm.EULER, PoseForm.EULER_RAD)
+    told = W_FIRST if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else None
+    turns = order.lower() if angles and len(set(order)) == 3 else "wxyz"
+    columns, written = heading(path, turns, told)
+    columns = columns or (list(range(6)) if angles else W_LAST)
     scale = unit_scale(unit or written or ("mm" if form in _IN_MM else "m"))
-    columns = columns or (W_FIRST if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else W_LAST)
     poses: list[Array] = []
     names: list[str | None] = []
     widest = 0.0
@@ -181,6 +211,7 @@ def read_robot_poses(
             words = words[: len(words) - _ROBTARGET + 7]
         name = None if _NUMBER.fullmatch(words[0]) or len(words) == _COUNTS.get(form, 7) else words.pop(0)
         values = numbers(words, _COUNTS.get(form, 7), f"{line.where} ({form})")
+        values = values[columns] if angles else values
         widest = max(widest, float(np.abs(values[3:]).max()))
         p, R = _parse_pose(values, form, order, columns, line.where, normalise)
         poses.append(se3.transform(R, scale * p))

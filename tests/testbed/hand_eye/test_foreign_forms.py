@@ -158,6 +158,51 @@ def test_a_heading_tells_the_order_and_unit_of_columns(tmp_path: Path, form: Pos
         read_robot_poses(tmp_path / "poses.txt", form)
 
 
+QUATERNIONS = (
+    "q0 q1 q2 q3", "qs qx qy qz", "w i j k", "qr qi qj qk", "qi qj qk qr", "rot.x rot.y rot.z rot.w",
+)  # fmt: skip
+ANGLES = ("roll pitch yaw", "yaw_deg pitch_deg roll_deg", "rx ry rz", "W P R")
+
+
+@pytest.mark.parametrize("turned", [*QUATERNIONS, *ANGLES])
+@pytest.mark.parametrize("turns_first", [False, True])
+def test_names_of_columns_tell_what_turns_about_which_axis(
+    tmp_path: Path, turned: str, turns_first: bool
+) -> None:
+    """Whatever the order of Euler angles, each is that about the axis that its column names."""
+    hand, _ = samples(4)
+    names, rotations = turned.split(), Rotation.from_matrix(hand[:, :3, :3])
+    axes = [_last_letter(name, names) for name in names]
+    if turned in QUATERNIONS:
+        cells = rotations.as_quat()[:, ["xyzw".index(axis) for axis in axes]]
+    else:
+        cells = rotations.as_euler("ZYX", degrees=True)[:, ["zyx".index(axis) for axis in axes]]
+    columns, heads = [hand[:, :3, 3], cells], ["x y z", turned]
+    order = slice(None, None, -1 if turns_first else 1)
+    rows = np.column_stack(columns[order])
+    lines = [" ".join(f"{v:.12f}" for v in row) for row in rows]
+    (tmp_path / "poses.txt").write_text("\n".join([" ".join(heads[order]), *lines]))
+    form = PoseForm.QUATERNION_XYZW if turned in QUATERNIONS else PoseForm.EULER
+    np.testing.assert_allclose(read_robot_poses(tmp_path / "poses.txt", form).X_BT, hand, atol=1e-9)
+
+
+def _last_letter(name: str, names: list[str]) -> str:
+    """The axis of a column, as a person reads it."""
+    words = {"roll": "x", "pitch": "y", "yaw": "z", "yaw_deg": "z", "pitch_deg": "y", "roll_deg": "x"}
+    if names == ["W", "P", "R"]:
+        return "xyz"["WPR".index(name)]
+    return words.get(name) or "wxyzwxyzwwxyz"["0123wxyzsrijk".index(name[-1])]
+
+
+def test_names_that_do_not_tell_which_column_is_w_are_asked_about(tmp_path: Path) -> None:
+    """ABB's q1 is w, q4 is it in aerospace."""
+    (tmp_path / "poses.txt").write_text("x y z q1 q2 q3 q4\n0.5 0 1 1 0 0 0\n")
+    with pytest.raises(RequestRefused, match="which column is w is not told by 'x y z q1 q2 q3 q4'"):
+        read_robot_poses(tmp_path / "poses.txt", PoseForm.QUATERNION_XYZW)
+    found = read_robot_poses(tmp_path / "poses.txt", PoseForm.QUATERNION_WXYZ)
+    np.testing.assert_allclose(found.X_BT[0, :3, :3], np.eye(3), atol=1e-12)
+
+
 def test_poses_are_not_interpolated_over_gaps_whatever_the_clock_counts_from() -> None:
     hand, camera = samples(40)
     times = np.array([k * 0.1 for k in range(40)])

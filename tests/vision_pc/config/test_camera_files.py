@@ -251,6 +251,14 @@ def test_a_bad_zed_file_is_refused_by_key_and_value(
         (json.dumps(STORED | {"M1": K1.T.tolist()}), r"K1 = \[\[700.*wanted in rows; MATLAB"),
         (json.dumps(STORED | {"M1": [[8, 0, 640], [0, 8, 360], [0, 0, 1]]}), r"left eye's fx = 8\.0.*millim"),
         (json.dumps(STORED | {"imageSize": [640, 360]}), "px from the middle of pictures of 640x360"),
+        (
+            json.dumps(STORED | {"cameraMatrix1": K2.tolist()}),
+            r"cameraMatrix1 = .*another name of it has somet",
+        ),
+        (
+            json.dumps(STORED | {"D1": [-0.02, 0.03, -0.025, 0.006]}),
+            r"D1 = .*k4 of cv2\.fisheye, or k1 k2 p1",
+        ),
         ("%YAML:1.0\n---\nM1: 3\n", r"D1 is missing: as cv2\.stereoCalibrate"),
     ],
 )

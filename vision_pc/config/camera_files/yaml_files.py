@@ -11,6 +11,7 @@ from vision_pc.config.stereo_camera import StereoCalibration
 
 _SIZE = ("image_width", "image_height")
 _SIZES = {"image_size", "imageSize", "img_size", "resolution"}  # others' names, of both
+_MOST_TANGENTIAL = 0.01  # [E] p1 and p2 of lenses that sit askew are a few thousandths
 _STANDS_M = 1e-4  # how far from the first eye the left one may be by its file
 _STEREO = {  # ours → names that OpenCV's samples and others write
     "K1": ("M1", "K1", "cameraMatrix1", "camera_matrix_1", "cameraMatrixL", "K_left", "left_K"),
@@ -175,6 +176,10 @@ def read_opencv_stereo(file: Entries, size: tuple[int, int] | None, length_m: fl
     for ours, names in _STEREO.items():
         expected = f"as cv2.stereoCalibrate returns it; also read: {', '.join(names[1:]) or 'none'}"
         found[ours] = file.entry(expected, *names)
+        for name in names:
+            if file.values.get(name, found[ours]) != found[ours]:
+                why = f"another name of it has something else: {found[ours]!r}"
+                raise file.refused(name, file.values[name], why)
     if set(_SIZE) <= set(file.values):
         size = file.size(_SIZE, [file.values[key] for key in _SIZE])
     for key in _SIZES & set(file.values):
@@ -189,8 +194,9 @@ def read_opencv_stereo(file: Entries, size: tuple[int, int] | None, length_m: fl
     for k in "12":
         K, D = file.camera_matrix(f"K{k}", found[f"K{k}"]), found[f"D{k}"]
         values = file.numbers(f"D{k}", D)
-        if not model and isinstance(D, Mapping) and len(values) == 4 and str(D.get("rows")) == "4":
-            why = "4 rows, as of cv2.fisheye, may be k1 k2 p1 p2 too: add model: fisheye or pinhole"
+        column = isinstance(D, Mapping) and str(D.get("rows")) == "4"
+        if not model and len(values) == 4 and (column or max(map(abs, values[2:])) > _MOST_TANGENTIAL):
+            why = "k1 k2 k3 k4 of cv2.fisheye, or k1 k2 p1 p2? Add model: fisheye or pinhole"
             raise file.refused(f"D{k}", list(values), why)
         eyes.append(Pinhole(K, *file.lens(f"D{k}", model or "pinhole", values), size))
     turn = file.numbers("R", found["R"])
