@@ -31,6 +31,14 @@ def test_few_samples_are_said_not_to_tell() -> None:
     assert found.scale is None
 
 
+def test_a_target_behind_the_camera_is_asked_about() -> None:
+    """OpenGL's axes fit as well as OpenCV's: X is that of another camera."""
+    pairs, _ = noisy_pairs(61, 6)
+    backwards = pose_pairs(pairs.X_BT, np.diag([1.0, -1.0, -1.0, 1.0]) @ pairs.P, pairs.setup)
+    found = judgement.judged(backwards, methods.solve(backwards))
+    assert [doubt.cause for doubt in found.doubts] == ["measurement.hand_eye.behind"]
+
+
 def scaled(pairs: PosePairs, factor: float) -> PosePairs:
     P = stacks.transform(pairs.P[:, :3, :3], factor * pairs.P[:, :3, 3])
     return pose_pairs(pairs.X_BT, P, pairs.setup)

@@ -87,6 +87,7 @@ _OF_CAUSE = {
     "measurement.no_frames": "No picture comes: check the camera and its cable.",
     "measurement.no_picture": "No picture comes: check the camera and its cable.",
     "measurement.hand_eye.another_arm": "Give the vision service the arm's own arm.yaml (--arm).",
+    "measurement.hand_eye.behind": "Turn the camera's poses into OpenCV's axes: z forward, y down.",
     "measurement.hand_eye.corner_noise": "Take the samples of largest residual again, or leave them out.",
     "measurement.hand_eye.exchanged": "Exchange the two lists of poses, or invert one of them.",
     "measurement.hand_eye.few_samples": "Take more samples.",

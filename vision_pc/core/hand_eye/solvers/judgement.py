@@ -103,6 +103,9 @@ def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[
 def judged(pairs: PosePairs, result: HandEyeResult) -> Judgement:
     """The doubts about ``result``, which any method has made of ``pairs``."""
     doubts = _noise_doubts(pairs, result) + _exchange_doubts(result) + _corner_doubts(pairs)
+    if (pairs.P[:, 2, 3] < 0.0).all():
+        behind = "the target is behind the camera in all samples: are its axes OpenGL's, z backwards?"
+        doubts.append(Doubt("measurement.hand_eye.behind", behind, refused=False))
     if len(pairs) < _LEAST_SAMPLES:
         few = f"{len(pairs)} samples are too few to tell a mistaken file; {_LEAST_SAMPLES} can"
         doubts.append(Doubt("measurement.hand_eye.few_samples", few, refused=False))
