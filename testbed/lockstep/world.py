@@ -158,7 +158,7 @@ class World:
     @property
     def connected(self) -> bool:
         """Return True if the reference link is open and its clocks are known."""
-        return self.link.connected and self.link.clock_offset is not None
+        return self.link.connected and self.link.session.clock is not None
 
     def connect(self) -> None:
         """Let time pass until the reference link is open, at most 5 s."""

@@ -11,10 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from protocol.channel import LinkStatistics
-from protocol.client_handshake import Credentials
 from protocol.client_session import ReferenceClient
-from protocol.clock_offset import OffsetEstimate
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, FaultCode, Reason, refusal
 from protocol.reference_messages import (
@@ -66,16 +63,16 @@ Journal = Callable[[Submitted | Streamed | ClientEvent], None]
 class ReferenceLink:
     """One link to the controller; it reconnects on its own from ``connect`` until ``disconnect``.
 
-    ``peer`` names the controller in messages. ``listeners`` are told what ``journal`` is told, after it.
-    ``heard_at_s``: when the newest state came, s since 1970. ``home``: X_BT where the arm stood when the
-    machine was first heard. ``ranges``: of the joints (rad), if the arm that the controller must drive is
-    known: a refusal then names the joint.
+    ``session`` is the protocol's. ``peer`` names the controller in messages. ``listeners`` are told what
+    ``journal`` is told, after it. ``heard_at_s``: when the newest state came, s since 1970. ``home``: X_BT
+    where the arm stood when the machine was first heard. ``ranges``: of the joints (rad), if the arm that the
+    controller must drive is known: a refusal then names the joint.
     """
 
     def __init__(
         self, session: ReferenceClient, clock: Clock, transport: LinkTransport, journal: Journal, peer: str
     ) -> None:
-        self._session = session
+        self.session = session
         self._clock = clock
         self._transport = transport
         self.listeners: list[Journal] = []
@@ -97,19 +94,19 @@ class ReferenceLink:
     def connect(self) -> None:
         """Begin to connect; does not wait for the controller."""
         self._reconnect_ns = None
-        self._session.connect(self._clock.now_ns)
+        self.session.connect(self._clock.now_ns)
         self._transport.flush()
 
     def disconnect(self) -> None:
         """End the session, and tell the controller; the link stays closed."""
-        for event in self._session.disconnect(self._clock.now_ns):
+        for event in self.session.disconnect(self._clock.now_ns):
             self._handle(event)
         self._reconnect_ns = self._lost_reason = None
         self._transport.flush()
 
     def receive(self, data: bytes) -> None:
         """Handle one datagram from the controller."""
-        for event in self._session.receive(data, self._clock.now_ns):
+        for event in self.session.receive(data, self._clock.now_ns):
             self._handle(event)
 
     def tick(self) -> None:
@@ -117,44 +114,29 @@ class ReferenceLink:
         now_ns = self._clock.now_ns
         if self._reconnect_ns is not None and now_ns >= self._reconnect_ns:
             self._reconnect_ns = None
-            self._session.connect(now_ns)
-        for event in self._session.tick(now_ns):
+            self.session.connect(now_ns)
+        for event in self.session.tick(now_ns):
             self._handle(event)
 
     def outgoing(self, now_ns: int) -> list[bytes]:
         """Datagrams to be sent now, in order, stamped ``now_ns``."""
-        return self._session.outgoing(now_ns)
+        return self.session.outgoing(now_ns)
 
     def next_deadline_ns(self) -> int | None:
         """When ``tick`` has something to do next; None while closed."""
-        return self._session.next_deadline_ns() or self._reconnect_ns
+        return self.session.next_deadline_ns() or self._reconnect_ns
 
     # What is known.
     @property
     def connected(self) -> bool:
         """Return True if a session is open and a state has come in it."""
-        return self._session.connected and bool(self._history)
-
-    @property
-    def clock_offset(self) -> OffsetEstimate | None:
-        """The controller's clock minus ours, with its bound."""
-        return self._session.clock
-
-    @property
-    def authenticated(self) -> bool:
-        """Return True if a session is open in which every datagram is signed."""
-        return self._session.authenticated
+        return self.session.connected and bool(self._history)
 
     @property
     def tries_valves(self) -> bool:
         """Return True if ENABLE begins a trial of the valves: the controller of this session says so."""
-        granted = self._session.welcome
+        granted = self.session.welcome
         return bool(granted and granted.capabilities & CAPABILITY_VALVE_TRIALS)
-
-    @property
-    def statistics(self) -> LinkStatistics:
-        """Counters of the session."""
-        return self._session.statistics
 
     @property
     def state(self) -> State:
@@ -169,23 +151,13 @@ class ReferenceLink:
         return self._clock.now_ns - self._received_ns
 
     @property
-    def credentials(self) -> Credentials | None:
-        """Of the open session: for who speaks beside this link."""
-        return self._session.credentials
-
-    @property
-    def next_numbers(self) -> tuple[int, int]:
-        """The number of the next datagram, and the id of the next request."""
-        return self._session.next_numbers
-
-    @property
     def now_ns(self) -> int:
         """The time on our clock."""
         return self._clock.now_ns
 
     def local_time_ns(self, controller_ns: int) -> int:
         """A time of the controller's clock on ours."""
-        return controller_ns - (self._session.clock_offset_ns or 0)
+        return controller_ns - (self.session.clock_offset_ns or 0)
 
     def begin_anew(self) -> None:
         """The machine has begun anew: where it is heard next is where it stands first."""
@@ -212,9 +184,9 @@ class ReferenceLink:
 
         Raises LinkLost when the time is older than what is kept, falls into a gap, or no newer state comes.
         """
-        if self._session.clock_offset_ns is None:
+        if self.session.clock_offset_ns is None:
             raise LinkLost("link.no_clock", "the controller's clock is not known yet")
-        wanted_ns = local_ns + self._session.clock_offset_ns
+        wanted_ns = local_ns + self.session.clock_offset_ns
         while not self._history.reaches(wanted_ns):
             await self.next_state()
         return self._history.pose_at(wanted_ns)
@@ -256,7 +228,7 @@ class ReferenceLink:
         Raises LinkLost, or RequestRefused when this controller does not take such a request.
         """
         try:
-            command_id = self._session.submit(request, self._clock.now_ns)
+            command_id = self.session.submit(request, self._clock.now_ns)
         except LinkLost as error:
             raise self.not_connected() from error
         self._answers[command_id] = None
@@ -266,7 +238,7 @@ class ReferenceLink:
 
     def take_over(self, request: Request, next_sequence: int) -> None:
         """Have a request answered that was sent beside this link, in its session; numbers go on behind it."""
-        self._session.take_over(request, next_sequence, self._clock.now_ns)
+        self.session.take_over(request, next_sequence, self._clock.now_ns)
         self._tell(Submitted(request.command_id, request))
         self._transport.flush()
 
@@ -286,7 +258,7 @@ class ReferenceLink:
     def stream(self, reference: StreamedPose) -> None:
         """Send a streamed reference, once. Raises LinkLost, RequestRefused when it cannot be encoded."""
         try:
-            self._session.stream(reference, self._clock.now_ns)
+            self.session.stream(reference, self._clock.now_ns)
         except LinkLost as error:
             raise self.not_connected() from error
         self._tell(Streamed(reference))
@@ -299,7 +271,7 @@ class ReferenceLink:
 
     def _patience_s(self, least_s: float) -> float:
         """``least_s``, or longer where the controller allows longer silences: it ends the session then."""
-        welcome = self._session.welcome
+        welcome = self.session.welcome
         return least_s if welcome is None else max(least_s, 1e-3 * welcome.link_timeout_ms)
 
     def _handle(self, event: ClientEvent) -> None:

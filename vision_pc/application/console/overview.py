@@ -82,16 +82,16 @@ class Overview:
             whole = calibration_json(rig.calibration)
             calibration = {name: whole[name] for name in ("method", "rotation_std_deg", "R_BC", "samples")}
         link, view, judged_by = rig.controller, rig.camera.seen(), rig.positioning
-        (state, trouble), clock = session_state(rig), link.clock_offset
+        (state, trouble), clock = session_state(rig), link.session.clock
         clearance_m, tolerance_m = judged_by.clearance_m, judged_by.tolerance_m
         return {
             "link": {
                 "age_ms": None if state is None else link.state_age_ns / 1e6,
                 "round_trip_us": None if clock is None else clock.round_trip_ns / 1e3,
                 "trouble": None if trouble is None else (trouble.cause, str(trouble)),
-                "authenticated": link.authenticated,
+                "authenticated": link.session.authenticated,
                 "tries_valves": link.tries_valves,
-                "lost": link.statistics.lost,
+                "lost": link.session.statistics.lost,
             },
             "camera": rig.camera.status()._asdict(),
             "recording": rig.log.healthy,

@@ -229,7 +229,7 @@ class VisionRecorder(ServiceRecorder):
             case Streamed():
                 self._reference(event.reference.number, event.reference)
             case StateReceived() if self._link is not None:
-                self._clock(self._link.clock_offset)
+                self._clock(self._link.session.clock)
 
     def event(self, name: str, level: Level, fields: Mapping[str, Any]) -> None:
         """Record an event of the log, for programs and for people."""

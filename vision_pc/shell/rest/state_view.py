@@ -53,7 +53,7 @@ class LinkView(BaseModel):
 
 def link_view(link: ReferenceLink) -> LinkView:
     """The link as it is now; never raises, for it is asked when something is wrong."""
-    tally, clock = link.statistics, link.clock_offset
+    tally, clock = link.session.statistics, link.session.clock
     trouble = None
     try:
         state = link.state
@@ -62,7 +62,7 @@ def link_view(link: ReferenceLink) -> LinkView:
         far, trouble = None, LinkTrouble(cause=error.cause, detail=str(error))
     return LinkView(
         connected=link.connected,
-        authenticated=link.authenticated,
+        authenticated=link.session.authenticated,
         tries_valves=link.tries_valves,
         trouble=trouble,
         state_age_ms=None if far is None else round(link.state_age_ns / 1e6, 3),
@@ -82,7 +82,7 @@ def link_view(link: ReferenceLink) -> LinkView:
 def state_json(application: VisionApplication) -> JSON:
     """The controller's newest state, the links and the camera. Raises LinkLost without a controller."""
     state = application.controller.state
-    clock = application.controller.clock_offset
+    clock = application.controller.session.clock
     camera = application.camera.status()
     return arm_json(state) | {
         "link": {
