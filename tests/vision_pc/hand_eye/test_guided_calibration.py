@@ -259,7 +259,7 @@ async def test_the_session_over_rest(tmp_path: Path) -> None:
             answer = await client.post(f"/operations/hand-eye-{kind}", json=body)
             assert answer.status_code == 202, answer.text
             operation = operations.get(answer.json()["id"])
-            await operation.end.wait()
+            await operation.wait()
             return (await client.get(f"/operations/{operation.id}")).json()
 
         assert (await client.get("/hand-eye/session")).json()["cause"] == "refused.hand_eye.no_session"
