@@ -3,7 +3,8 @@
 import hashlib
 import json
 import types
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from controller.core.scan import scan
@@ -126,6 +127,14 @@ class _Wait(NamedTuple):
     until_ns: int
 
 
+@dataclass(eq=False)
+class _Work:
+    """A program in the background, and what it waits for."""
+
+    program: Coroutine[Any, Any, None]
+    wait: _Wait | None = None
+
+
 class LockstepClock:
     """Implements ``Clock``, ``Worker``, ``Background`` and ``LinkTransport`` of the application's ports.
 
@@ -135,7 +144,7 @@ class LockstepClock:
 
     def __init__(self, world: Stepped) -> None:
         self._world = world
-        self._works: list[LockstepWork] = []
+        self._works: list[_Work] = []
         self._in_background = False
 
     @property
@@ -183,71 +192,32 @@ class LockstepClock:
         """What ``work`` returns."""
         return work()
 
-    def start(self, program: Coroutine[Any, Any, None]) -> "LockstepWork":
-        """Start ``program`` in the background: it runs at once, until it first waits."""
-        work = LockstepWork(program, self)
+    def start(self, program: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
+        """Start ``program`` in the background: it runs at once, until it first waits. Return what ends it."""
+        work = _Work(program)
         self._works.append(work)
         self._go_on(work)
-        return work
 
-    def _go_on(self, work: "LockstepWork") -> None:
+        async def end() -> None:
+            program.close()
+            if work in self._works:
+                self._works.remove(work)
+
+        return end
+
+    def _go_on(self, work: _Work) -> None:
+        """Run the program until it waits for what has not happened yet."""
         self._in_background = True
         try:
-            work.go_on(self.now_ns)
-        finally:
-            self._in_background = False
-        if work.ended:
-            self._works.remove(work)
-
-    def leave(self, work: "LockstepWork") -> None:
-        """Do not go on with ``work``."""
-        if work in self._works:
-            self._works.remove(work)
-
-
-class LockstepWork:
-    """Implements ``vision_pc.application.ports.BackgroundWork`` in simulated time."""
-
-    def __init__(self, program: Coroutine[Any, Any, None], clock: LockstepClock) -> None:
-        self._program = program
-        self._clock = clock
-        self._wait: _Wait | None = None
-        self._error: Exception | None = None
-        self._ended = False
-
-    @property
-    def ended(self) -> bool:
-        """Return True if the program has returned or raised."""
-        return self._ended
-
-    def go_on(self, now_ns: int) -> None:
-        """Run the program until it waits for what has not happened yet."""
-        while not self._ended and (
-            self._wait is None or self._wait.happened() or now_ns >= self._wait.until_ns
-        ):
-            try:
-                waits_for = self._program.send(None)
-            except StopIteration:
-                self._ended = True
-            except Exception as error:
-                self._ended, self._error = True, error
-            else:
+            while work.wait is None or work.wait.happened() or self.now_ns >= work.wait.until_ns:
+                waits_for = work.program.send(None)
                 if not isinstance(waits_for, _Wait):
                     raise RuntimeError("a program in lockstep waited for something outside of simulated time")
-                self._wait = waits_for
-
-    async def join(self) -> None:
-        """Let time pass until the end. Raises what the program raised."""
-        while not self._ended:
-            self._clock.advance()
-        if self._error is not None:
-            raise self._error
-
-    async def cancel(self) -> None:
-        """End the program where it waits."""
-        self._program.close()
-        self._ended = True
-        self._clock.leave(self)
+                work.wait = waits_for
+        except StopIteration:
+            self._works.remove(work)
+        finally:
+            self._in_background = False
 
 
 @types.coroutine

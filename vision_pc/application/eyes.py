@@ -15,7 +15,6 @@ from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.ports import (
-    BackgroundWork,
     Clock,
     Log,
     Runtime,
@@ -30,15 +29,19 @@ from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealt
 
 T = TypeVar("T")
 F = TypeVar("F", bound=CameraFrame)
+_LONGEST_S = 3600.0  # a frame that does not come ends a watch long before
 
 
 class LiveWatch(Generic[F]):
-    """Implements ``vision_pc.core.ports.Watch`` over a watcher that is filled in the background."""
+    """Implements ``vision_pc.core.ports.Watch`` over a watcher that is filled in the background, until that
+    has ``ended``, by an ``error`` or without.
+    """
 
-    def __init__(self, watcher: Watcher[F], gathering: BackgroundWork, clock: Clock) -> None:
+    def __init__(self, watcher: Watcher[F], clock: Clock) -> None:
         self._watcher = watcher
-        self._gathering = gathering
         self._clock = clock
+        self.ended = False
+        self.error: Exception | None = None
 
     @property
     def samples(self) -> tuple[WatchSample, ...]:
@@ -57,12 +60,18 @@ class LiveWatch(Generic[F]):
         Raises what ended the gathering, such as LinkLost for a silent camera.
         """
         self._watcher.live = True
-        await self._clock.until(lambda: self._watcher.count > count or self._gathering.ended, timeout_s)
+        await self._clock.until(lambda: self._watcher.count > count or self.ended, timeout_s)
         if self._watcher.count > count:
             return self._watcher.samples[-1]
-        if self._gathering.ended:
-            await self._gathering.join()
+        if self.error is not None:
+            raise self.error
         return None
+
+    async def join(self) -> None:
+        """Wait for the end. Raises what ended the gathering."""
+        await self._clock.until(lambda: self.ended, _LONGEST_S)
+        if self.error is not None:
+            raise self.error
 
 
 class Unattended:
@@ -137,14 +146,15 @@ class FrameEyes(Generic[F]):
         with self._attendant.watching() as watched:
             last_ns = await self._sampled(watcher, clock.now_ns)
             until_ns: list[int] = []
-            gathering = self._runtime.background.start(self._gather(watcher, last_ns, until_ns))
+            watch = LiveWatch(watcher, clock)
+            end = self._runtime.background.start(self._gather(watcher, watch, last_ns, until_ns))
             try:
-                yield LiveWatch(watcher, gathering, clock)
+                yield watch
                 until_ns.append(clock.now_ns)
-                await gathering.join()
+                await watch.join()
                 await self._runtime.worker.run(watcher.measure)
             finally:
-                await gathering.cancel()
+                await end()
             self._latest = watcher.newest or self._latest
             self._log.write("watched", **watcher.health._asdict())
             watcher.require()
@@ -157,9 +167,16 @@ class FrameEyes(Generic[F]):
         await self._runtime.worker.run(watcher.calibrate)
         self._latest = watcher.newest or self._latest
 
-    async def _gather(self, watcher: Watcher[F], last_ns: int, until_ns: list[int]) -> None:
-        while not until_ns or last_ns < until_ns[0]:
-            last_ns = await self._sampled(watcher, last_ns)
+    async def _gather(
+        self, watcher: Watcher[F], watch: LiveWatch[F], last_ns: int, until_ns: list[int]
+    ) -> None:
+        try:
+            while not until_ns or last_ns < until_ns[0]:
+                last_ns = await self._sampled(watcher, last_ns)
+        except Exception as error:
+            watch.error = error
+        watch.ended = True
+        self._runtime.clock.wake()
 
     async def _sampled(self, watcher: Watcher[F], after_ns: int) -> int:
         """The capture time of the frame of which a sample was added to ``watcher``."""

@@ -4,7 +4,7 @@ The service implements these ports with an event loop, sockets and threads; lock
 letting simulated time pass. Everything above them is the same code.
 """
 
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from foundation.event_log import Level
@@ -102,28 +102,14 @@ class Worker(Protocol):
         ...
 
 
-class BackgroundWork(Protocol):
-    """A program that runs beside the one that started it."""
-
-    @property
-    def ended(self) -> bool:
-        """Return True if the program has returned or raised."""
-        ...
-
-    async def join(self) -> None:
-        """Wait for the end. Raises what the program raised."""
-        ...
-
-    async def cancel(self) -> None:
-        """End the program where it waits, and wait for that; does nothing if it has ended."""
-        ...
-
-
 class Background(Protocol):
     """Starts programs that run beside the present one."""
 
-    def start(self, program: Coroutine[Any, Any, None]) -> BackgroundWork:
-        """Start ``program``."""
+    def start(self, program: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
+        """Start ``program``, which raises nothing.
+
+        Return what ends it where it waits, and waits for that; it does nothing once the program has ended.
+        """
         ...
 
 
