@@ -136,7 +136,7 @@ class _Work:
 
 
 class LockstepClock:
-    """Implements ``Clock``, ``Worker``, ``Background`` and ``LinkTransport`` of the application's ports.
+    """Implements ``Clock``, ``Worker`` and ``Background`` of the application's ports.
 
     Whoever waits in the foreground lets the world's cycles pass. Programs in the background go on after each
     cycle in which what they wait for has happened. Computing takes no simulated time.
@@ -176,9 +176,6 @@ class LockstepClock:
 
     def wake(self) -> None:
         """Return at once: who waits looks again after every cycle anyway."""
-
-    def flush(self) -> None:
-        """Return at once: the world takes what the link has to send with its next cycle."""
 
     async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for ``happened()``. Return False when ``timeout_s`` have passed first."""

@@ -131,7 +131,7 @@ class World:
         )
         self.states: list[State] = []
         journal = LinkJournal(SimulatedTimeLog(self), self.clock)
-        self.link = ReferenceLink(session, self.clock, self.clock, journal, "controller")
+        self.link = ReferenceLink(session, self.clock, lambda: None, journal, "controller")
         self.link.listeners.append(self._on_heard)
         self.link.ranges = joint_ranges(settings.arm)
         self.link.connect()

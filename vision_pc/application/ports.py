@@ -1,4 +1,4 @@
-"""What the application needs from outside: a clock, frames, a transport, a log, a place to compute.
+"""What the application needs from outside: a clock, frames, a log, a place to compute.
 
 The service implements these ports with an event loop, sockets and threads; lockstep implements them by
 letting simulated time pass. Everything above them is the same code.
@@ -35,14 +35,6 @@ class Clock(Protocol):
 
     async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for ``happened()``. Return False when ``timeout_s`` have passed first."""
-        ...
-
-
-class LinkTransport(Protocol):
-    """Carries a ``ReferenceLink``'s datagrams: it calls the link's ``outgoing``, ``receive`` and ``tick``."""
-
-    def flush(self) -> None:
-        """Send what the link has to send; its next deadline may have changed as well."""
         ...
 
 

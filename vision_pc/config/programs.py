@@ -28,14 +28,6 @@ Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
 
 OrientationForm = Literal["frame_true", "paper"]
 """The turn of (7)(8) taken at the marker: right for any camera mount; or as printed."""
-CircleMinimum = Literal["sample", "fit"]
-"""The least sample as printed, or a fit through all of them."""
-PathPlacement = Literal["ends_here", "starts_here"]
-"""Where the arm stands on the path: at its end, so that the object is in view again, or at its start."""
-MatchedTraces = Literal["points", "paper"]
-"""The marker's positions, the lever arm removed, or the camera's poses as in the paper."""
-Association = Literal["time", "none"]
-"""Whether the samples of both traces belong together by their time."""
 
 
 class OrientationSettings(StrictModel):
@@ -47,12 +39,15 @@ class OrientationSettings(StrictModel):
 
 
 class LineEquationSettings(StrictModel):
-    """Line equation (10)-(16)."""
+    """Line equation (10)-(16).
+
+    ``minimum``: the least sample as printed, or a fit through all of them.
+    """
 
     radius_m: float = Field(ge=0.02, le=0.6, examples=[0.2])
     points: int = Field(ge=6, le=24, examples=[18])
     segment_s: Seconds
-    minimum: CircleMinimum
+    minimum: Literal["sample", "fit"]
     seen_share: float = Field(gt=0.0, le=1.0)
     step_limit_m: float = Field(gt=0.0, le=5.0)
 
@@ -60,17 +55,20 @@ class LineEquationSettings(StrictModel):
 class TrajectorySettings(StrictModel):
     """Trajectory matching (17)-(19) and the match.
 
-    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4.
+    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4. ``placement``:
+    where the arm stands on the path: at its end, so that the object is in view again, or at its start.
+    ``method``: the marker's positions, the lever arm removed, or the camera's poses as in the paper.
+    ``association``: whether the samples of both traces belong together by their time.
     """
 
     segments_m: tuple[Length, ...] = Field(min_length=2, max_length=23, examples=[[0.30, 0.10, 0.05, 0.30]])
     turn_deg: float = Field(ge=5.0, le=175.0)
     heading_deg: float = Field(ge=-180.0, le=180.0)
-    placement: PathPlacement
+    placement: Literal["ends_here", "starts_here"]
     segment_s: Seconds
     dwell_s: Seconds
-    method: MatchedTraces
-    association: Association
+    method: Literal["points", "paper"]
+    association: Literal["time", "none"]
     minimum_samples: int = Field(ge=8, le=10_000)
     condition_limit: float = Field(ge=1.0)
 

@@ -158,7 +158,7 @@ class UdpEndpoint(asyncio.DatagramProtocol):
             secrets.randbits(64), arm_hash, settings.state_period_ms, key=read_key(settings.link_key)
         )
         peer = f"controller at {settings.host}:{settings.port}"
-        self.link = ReferenceLink(session, clock, self, LinkJournal(log, clock), peer)
+        self.link = ReferenceLink(session, clock, self.flush, LinkJournal(log, clock), peer)
 
     async def start(self) -> None:
         """Open the socket and begin to connect; does not wait for the controller.
