@@ -163,8 +163,13 @@ def _tried_out(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: TrialSession
 ) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told and noted, the arm then stands."""
+    kept = kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {request.directory}")
     try:
-        seconds, failure = _excite(settings, request, joints, session)
+        with kept, bars() as shown, shown.step("trying out the valves") as bar:
+            world = World(with_excitation(settings, joints), request.seed, RunLog())
+            for order in request.faults:
+                obey(order, world.plant, Scene(settings.scene).cover)
+            seconds, failure = excite_in_lockstep(world, session.keep, bar.update)
     except (MeasurementFailed, LinkLost) as error:
         session.ended_by(Failure(error.cause, joints[0], 0.0, 0.0))
         return _broken_off(f"{error.cause}: {error}")
@@ -173,20 +178,6 @@ def _tried_out(
         return True
     session.ended_by(failure)
     return _broken_off(failure_words(failure))
-
-
-def _excite(
-    settings: Settings, request: CommissionRequest, joints: Sequence[int], session: TrialSession
-) -> tuple[float, Failure | None]:
-    with (
-        kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {request.directory}"),
-        bars() as shown,
-        shown.step("trying out the valves") as bar,
-    ):
-        world = World(with_excitation(settings, joints), request.seed, RunLog())
-        for order in request.faults:
-            obey(order, world.plant, Scene(settings.scene).cover)
-        return excite_in_lockstep(world, session.keep, bar.update)
 
 
 def _broken_off(why: str) -> bool:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -61,18 +61,8 @@ class Sight(NamedTuple):
 class LockstepFrames(CameraFeed[F], ABC):
     """Vision's feed, filled from the world's exposures; in lockstep a frame arrives when it is sent."""
 
-    rectifies: ClassVar[bool] = False
-
     def __init__(self, world: World) -> None:
-        """Raise ConfigurationError where frames that nobody rectifies meet a raw camera's calibration."""
-        camera = world.settings.vision.camera
-        if isinstance(camera.calibration, StereoCalibration) and not self.rectifies:
-            raise ConfigurationError(
-                "configuration.raw_camera",
-                f"vision.camera.calibration: {camera.calibration.source}: these eyes take no raw pairs, "
-                "rendered pictures do (--eyes pixels)",
-            )
-        super().__init__(camera, world.clock)
+        super().__init__(world.settings.vision.camera, world.clock)
         self._world = world
         self.connected()
 
@@ -123,8 +113,6 @@ class UndrawnPair(StereoPair):
 
 class PixelFrames(LockstepFrames[StereoPair]):
     """Stereo pairs, rectified where vision's calibration is a raw camera's; drawn when they are looked at."""
-
-    rectifies = True
 
     def __init__(self, world: World) -> None:
         super().__init__(world)
@@ -212,7 +200,14 @@ def load_eye_model(config_dir: Path, condition: EyeCondition = "usual") -> EyeMo
 
 
 def simulated_sight(world: World, model: EyeModelConfig, seed: int) -> Sight:
-    """Eyes without pictures on ``world``; bit-identical for a ``seed``."""
+    """Eyes without pictures on ``world``; bit-identical for a ``seed``.
+
+    Raises ConfigurationError for a raw camera's calibration: nobody rectifies.
+    """
+    known = world.settings.vision.camera.calibration
+    if isinstance(known, StereoCalibration):
+        why = f"{known.source}: these eyes take no raw pairs, rendered pictures do (--eyes pixels)"
+        raise ConfigurationError("configuration.raw_camera", f"vision.camera.calibration: {why}")
     return Sight(SimulatedFrames(world), SimulatedSensor(world.settings, model, seed))
 
 

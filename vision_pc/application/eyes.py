@@ -5,8 +5,8 @@ Campaigns in lockstep therefore measure the eyes that ship. What differs there i
 frames, and with simulated measurements the sensor.
 """
 
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractContextManager, asynccontextmanager, nullcontext
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, nullcontext
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -21,7 +21,7 @@ from vision_pc.application.ports import (
     SightRecorder,
 )
 from vision_pc.application.reference_link import ReferenceLink
-from vision_pc.application.targets.carrier import TargetCarrier
+from vision_pc.application.targets.carrier import TargetCarrier, forgotten
 from vision_pc.config.vision import LookSettings
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Sensor, Watcher
@@ -74,20 +74,6 @@ class LiveWatch(Generic[F]):
             raise self.error
 
 
-class Unattended:
-    """As ``TargetCarrier``, where there are no targets."""
-
-    object_wanted = True
-
-    def looking(self) -> AbstractContextManager[Callable[[Look], None]]:
-        """A block of its own."""
-        return nullcontext(lambda _look: None)
-
-    def watching(self) -> AbstractContextManager[Callable[[tuple[WatchSample, ...]], None]]:
-        """A block of its own."""
-        return nullcontext(lambda _samples: None)
-
-
 class FrameEyes(Generic[F]):
     """Implements ``vision_pc.core.ports.Eyes`` over a source of frames and a sensor that measures in them."""
 
@@ -107,7 +93,7 @@ class FrameEyes(Generic[F]):
         self._settings = settings
         self._runtime = runtime
         self._log = log
-        self._attendant = attendant or Unattended()
+        self._attendant = attendant
         self._latest: tuple[F, FrameObservation] | None = None
         self._recorder: SightRecorder[F] | None = None
 
@@ -122,7 +108,7 @@ class FrameEyes(Generic[F]):
         Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused
         (``refused.moving``) while the arm moves, LinkLost when camera or controller is silent.
         """
-        with self._attendant.looking() as looked:
+        with self._attendant.looking() if self._attendant else nullcontext(forgotten) as looked:
             fresh = self._frames_at_rest(frames or self._settings.frames)
             observations = [await self._observed(frame) async for frame in fresh]
             time_ns = int(np.mean([observation.capture_ns for observation in observations]))
@@ -142,8 +128,8 @@ class FrameEyes(Generic[F]):
         clock = self._runtime.clock
         previous = None if self._latest is None else self._latest[1]
         watcher = Watcher(self._sensor, markers=markers, odometry=odometry, previous=previous)
-        watcher.object_wanted = self._attendant.object_wanted
-        with self._attendant.watching() as watched:
+        watcher.object_wanted = self._attendant is None or self._attendant.object_wanted
+        with self._attendant.watching() if self._attendant else nullcontext(forgotten) as watched:
             last_ns = await self._sampled(watcher, clock.now_ns)
             until_ns: list[int] = []
             watch = LiveWatch(watcher, clock)
