@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 from rich.table import Table
@@ -90,11 +90,6 @@ def _number_text(number: Uncertain, unit: float, digits: int) -> str:
     return f"{unit * number.value:.{digits}f} ± {unit * number.std:.{digits}f}"
 
 
-def findings_json(found: Mapping[int, JointFindings]) -> dict[str, Any]:
-    """The same numbers for a JSON file, SI and bar, by joint."""
-    return {JOINTS[joint]: one._asdict() for joint, one in sorted(found.items())}
-
-
 LONGEST_MIN = 15.0  # of arm time, that commissioning shall stay below
 
 
@@ -145,7 +140,8 @@ def run_commission(request: CommissionRequest) -> bool:
     found = _findings_of(session, settings)
     if found:
         out.print(findings_table(found))
-    write_json(request.json, {"joints": findings_json(found), "complete": complete})
+    joints_json = {JOINTS[joint]: one._asdict() for joint, one in sorted(found.items())}
+    write_json(request.json, {"joints": joints_json, "complete": complete})
     whole = complete and all(joint in found for joint in joints)
     if whole:
         _write(found, settings, session, request.directory)

@@ -12,7 +12,7 @@ from controller.core.scan_types import ControllerView, ScanInput, ScanOutput, in
 from controller.core.settings import ScanSettings
 from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, Reason
-from protocol.process_image import SensorImage, decode_sensors, decode_valves, encode_sensors, encode_valves
+from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import FLAG_SETTLED, Command, ReferencePath, ReferencePose
 from testbed.reporting.console import plain
 
@@ -41,9 +41,7 @@ class ClosedLoop:
         self.plant = plant
         self.state = initial_state(settings)
         self.now_ns = 0
-        self.link_alive = True
         self.outputs: ScanOutput | None = None
-        self.watch: Callable[[SensorImage, ScanOutput], None] | None = None
         self._words: list[int] | None = None
         self._ids = 0
 
@@ -59,11 +57,9 @@ class ClosedLoop:
             self.plant.write(decode_valves(self._words))
         sensors = decode_sensors(encode_sensors(self.plant.read()))
         now_ns, dt_s = self.now_ns, self.settings.cycle_s
-        inputs = ScanInput(now_ns, now_ns, dt_s, sensors, requests, self.link_alive)
+        inputs = ScanInput(now_ns, now_ns, dt_s, sensors, requests, True)
         self.state, self.outputs = scan(self.settings, self.state, inputs)
         self._words = encode_valves(self.outputs.valves)
-        if self.watch is not None:
-            self.watch(sensors, self.outputs)
         self.plant.advance(cycle_ns)
         self.now_ns += cycle_ns
         return self.outputs

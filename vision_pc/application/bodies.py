@@ -133,13 +133,12 @@ class HomeBody(RequestBody):
     duration_s: float = Field(0.0, ge=0.0, le=60.0)
 
 
-class MoveBody(RequestBody):
+class MoveBody(HomeBody):
     """A point-to-point motion: to ``X_BT``, or by an offset along the axes of base or tool (just one)."""
 
     X_BT: PoseBody | None = None
     offset_base_m: Vector | None = None
     offset_tool_m: Vector | None = Field(None, examples=[[0.05, 0.0, 0.0]])
-    duration_s: float = Field(0.0, ge=0.0, le=60.0)
 
     @model_validator(mode="after")
     def _one_target(self) -> "MoveBody":

@@ -20,8 +20,8 @@ _RATE_OVER = 20  # frames over which the rate is measured
 class CameraFeed(Generic[F]):
     """Frames of a camera as they arrive. Capture times are on this machine's clock.
 
-    ``newest``: the newest frame, None before the first. Who waits for a frame of a camera that is silent, repeats itself or was never there gets ``LinkLost``,
-    never an old frame.
+    ``newest``: the newest frame, None before the first. Who waits for a frame of a camera that is silent,
+    repeats itself or was never there gets ``LinkLost``, never an old frame.
     """
 
     def __init__(self, settings: CameraSettings, clock: Clock) -> None:

@@ -146,12 +146,9 @@ class FrameEyes(Generic[F]):
             watcher.require()
             watched(watcher.samples)
         if markers and odometry:
-            await self._calibrated(watcher)
-
-    async def _calibrated(self, watcher: Watcher[F]) -> None:
-        """Find the camera's errors, where that is configured, and see with them from now on."""
-        await self._runtime.worker.run(watcher.calibrate)
-        self._latest = watcher.newest or self._latest
+            # The camera's errors, where these are looked for: it sees with them from now on.
+            await self._runtime.worker.run(watcher.calibrate)
+            self._latest = watcher.newest or self._latest
 
     async def _gather(
         self, watcher: Watcher[F], watch: LiveWatch[F], last_ns: int, until_ns: list[int]

@@ -160,10 +160,6 @@ class ReferenceLink:
         """A time of the controller's clock on ours."""
         return controller_ns - (self.session.clock_offset_ns or 0)
 
-    def begin_anew(self) -> None:
-        """The machine has begun anew: where it is heard next is where it stands first."""
-        self.home = None
-
     def not_connected(self) -> LinkLost:
         """The error that says why there is no session."""
         if self._lost_reason is None:
