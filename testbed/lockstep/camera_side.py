@@ -39,8 +39,7 @@ class CameraSide:
         truth = plant.truth()
         motion = plant.motion() if self._config.shows_motion else None
         view = CameraView(truth.X_WC, truth.X_WM, truth.X_WO)
-        number = time_ns // self.period_ns
-        capture = Capture(number, time_ns, view, STILL if motion is None else motion)
+        capture = Capture(time_ns // self.period_ns, time_ns, view, STILL if motion is None else motion)
         exposure = Exposure(truth, self._exposures.shot(capture, plant.faults.in_force()), motion)
         for viewer in list(self.viewers):
             viewer(exposure)

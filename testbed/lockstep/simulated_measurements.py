@@ -233,7 +233,9 @@ class SimulatedSensor:
         camera = as_found(self.camera, previous)
         sightings, unfit = [], dict[int, str]()
         for number, seen in sorted(self._view.markers(frame.shown).items()):
-            if number not in settings.sizes or seen.left is None or self._misses():
+            if number not in settings.sizes or seen.left is None:
+                continue
+            if self._rng.random() < self._model.corners.missed_share:
                 continue
             left = self._rays(camera.left, number, 0, seen.left)
             right = None if seen.right is None else self._rays(camera.right, number, 1, seen.right)
@@ -262,22 +264,16 @@ class SimulatedSensor:
             self._rng,
         )
 
-    def _misses(self) -> bool:
-        return bool(self._rng.random() < self._model.corners.missed_share)
-
     def _rays(self, model: CameraModel, marker: int, eye: int, exact: Array) -> Array:
         """Rays (4, 2) of the corners as refined in the picture."""
         corners = self._model.corners
-        bias = [self._bias(marker, 4 * eye + k, pixel) for k, pixel in enumerate(exact)]
+        pixels = np.rint(exact).astype(int).tolist()
+        bias = [_standard_normal(self._seed, marker, 4 * eye + k, *at) for k, at in enumerate(pixels)]
         noise = self._rng.normal(0.0, corners.noise_px, (4, 2))
         return intrinsics.normalised(model, exact + corners.bias_px * np.array(bias) + noise)
-
-    def _bias(self, marker: int, corner: int, pixel: Array) -> Array:
-        """Standard normal (2,), the same whenever this corner falls onto the same pixel."""
-        u, v = np.rint(pixel).astype(int).tolist()
-        return _standard_normal(self._seed, marker, corner, u, v)
 
 
 @lru_cache(maxsize=4096)
 def _standard_normal(*seed: int) -> Array:
+    """Standard normal (2,), the same whenever a corner falls onto the same pixel."""
     return np.random.default_rng(seed).standard_normal(2)

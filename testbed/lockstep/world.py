@@ -170,8 +170,7 @@ class World:
         The same run gives the same bytes. Raises FileExistsError where the file exists, OSError when it
         cannot be written.
         """
-        parts = {"plant": self.settings.plant, "scene": self.settings.scene}
-        run = {name: part.model_dump(mode="json") for name, part in parts.items()}
+        run = {name: getattr(self.settings, name).model_dump(mode="json") for name in ("plant", "scene")}
         drawn = drawing(self.settings.scene, self.plant.chain, self.plant.time_ns)
         entries = session_entries("plant_emulator", {SESSION_VARIABLE: session})
         self.recording = TruthRecorder(path, run, drawn, entries, DirectRecording)

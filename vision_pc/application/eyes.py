@@ -27,7 +27,6 @@ from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Sensor, Watcher
 from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth, WatchSample
 
-T = TypeVar("T")
 F = TypeVar("F", bound=CameraFrame)
 _LONGEST_S = 3600.0  # a frame that does not come ends a watch long before
 

@@ -48,8 +48,7 @@ def _row(
 async def _start(application: VisionApplication, request: StartBody, report: Report) -> JSON:
     given = application.guided.defaults.model_dump() | request.overrides()
     name, seed = given.pop("name"), given.pop("seed")
-    settings = validated(GuidedSettings, given, "request")
-    return await application.guided.start(name, settings, seed, report)
+    return await application.guided.start(name, validated(GuidedSettings, given, "request"), seed, report)
 
 
 HAND_EYE_PROGRAMS = (

@@ -6,7 +6,7 @@ Nothing is encoded, compressed or written before a call returns: what is put is 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration as CalibrationMessage
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -48,11 +48,6 @@ _JPEG_QUALITY = 85  # [D]
 _JPEG_HZ = 1.0  # [M] 9 MB a minute
 _CLOCK_NS = 1_000_000_000
 _REMEMBERED = 1001  # observations, some 8 MB: as many as a look may take, and the one before
-
-
-class _Image(NamedTuple):
-    pair: StereoPair
-    eye: int
 
 
 def _spread(encode: Callable[..., bytes]) -> Callable[[tuple[Any, ...]], bytes]:
@@ -284,7 +279,7 @@ class VisionRecorder(ServiceRecorder):
         if self._picture_due(pair.capture_ns):
             for eye, topic in enumerate(IMAGES):
                 if topic in self._numbers:
-                    self._put(topic, _Image(pair, eye), pair.capture_ns, wanted=True)
+                    self._put(topic, (pair, eye), pair.capture_ns, wanted=True)
 
     def _picture_due(self, capture_ns: int) -> bool:
         if self._settings.images != "jpeg":
