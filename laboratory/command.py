@@ -6,17 +6,17 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from foundation.command_options import options_of, with_signature
 from laboratory.experiments.catalogue import CATALOGUE, Entry
 from testbed.cli.options import DEFAULT_CONFIG
-from testbed.cli.root import CommandApp, CommandGroup
+from testbed.cli.root import CommandApp
 
 _ALL_ARMS = "both"  # of an experiment that runs two
 
 
-class ExperimentGroup(CommandGroup):
+class ExperimentGroup(TyperGroup):
     """The catalogue's experiments as commands; one is loaded when it is asked for, most are heavy."""
 
     def __init__(self, **options: Any) -> None:

@@ -21,8 +21,8 @@ _PAUSED_S = 1.0  # between two messages of /clock while it stands: for nodes tha
 class SimulatedMachine:
     """Emulator, controller and both ends of the reference link in lockstep.
 
-    Implements ``Clock`` and ``LinkTransport`` of the vision PC's ports for programs of one event loop:
-    whoever waits looks again after each cycle, before the next one.
+    Implements ``Clock`` of the vision PC's ports for programs of one event loop: whoever waits looks again
+    after each cycle, before the next one.
     """
 
     def __init__(self, config_dir: Path, overrides: Overrides) -> None:
@@ -54,9 +54,6 @@ class SimulatedMachine:
         """Have everybody who waits look again."""
         self._news.set()
         self._news = asyncio.Event()
-
-    def flush(self) -> None:
-        """Return at once: the world takes what the link has to send with its next cycle."""
 
     async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for ``happened()``. Return False when ``timeout_s`` of simulated time have passed first."""

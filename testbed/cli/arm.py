@@ -19,11 +19,6 @@ DEFAULT_ARM = "default"
 Chosen = Annotated[str, typer.Argument(metavar="[NAME|DIR]", help="Of CONFIG_DIR/arms, or a directory.")]
 
 
-@app.callback()
-def arm() -> None:
-    """Arms: which there are, whether one is right, one of your own."""
-
-
 @app.command("list", epilog="Example: longreach arm list")
 def list_arms(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
     """The arms that --arm takes by name: what each is, and its reach; of one that cannot be read, why."""

@@ -34,11 +34,6 @@ def _vision(config_dir: Path, settings: list[str] | None) -> "VisionConfig":
     return load(VisionConfig, config_dir / "vision.yaml", parse_overrides(settings or []).get("vision"))
 
 
-@app.callback()
-def camera() -> None:
-    """A stereo camera: check, calibrate, convert."""
-
-
 @app.command(epilog="Example: longreach camera check live --set vision.camera.calibration=camera.yaml")
 @unfolded
 def check(

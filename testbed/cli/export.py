@@ -12,11 +12,6 @@ from testbed.reporting.console import out, writable, write_json
 app = CommandApp(help="The arm as a file for other tools.", no_args_is_help=True)
 
 
-@app.callback()
-def export() -> None:
-    """The arm as a file for other tools."""
-
-
 @app.command(epilog="Example: longreach export urdf --out arm.urdf")
 def urdf(
     file: Annotated[Path, typer.Option("--out", help="Where the file goes.", callback=writable)],

@@ -24,7 +24,6 @@ from testbed.cli import (
 )
 from testbed.cli.options import (
     DEFAULT_CONFIG,
-    DEFAULT_RUNS,
     ConfigDir,
     DemoOptions,
     Disturbed,
@@ -125,7 +124,7 @@ def commission(
     ] = "slew,lift,tilt,wrist1,wrist2,wrist3",
     directory: Annotated[
         Path, typer.Option("--out", help="The session: joints that are there are not tried out again.")
-    ] = DEFAULT_RUNS / "commission",
+    ] = Path("runs/commission"),
     fault: Annotated[
         list[str] | None,
         typer.Option(

@@ -61,7 +61,6 @@ ConfigDir = Annotated[
     Path, typer.Option("--config-dir", help="Configuration; `longreach init` copies what is shipped.")
 ]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
-RunsDir = Annotated[Path, typer.Option("--out", help="Where directories of runs are made.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
 Settings = Annotated[
     list[str] | None,
@@ -73,8 +72,6 @@ JsonFile = Annotated[
 ]
 
 DEFAULT_CONFIG = usual_configs()
-
-DEFAULT_RUNS = Path("runs")
 
 
 class StartOptions(NamedTuple):
@@ -89,7 +86,7 @@ class StartOptions(NamedTuple):
     show_truth: Annotated[
         bool, typer.Option("--show-truth", help="Let the console draw where the emulator's arm really is.")
     ] = False
-    runs: RunsDir = Path("runs")
+    runs: Annotated[Path, typer.Option("--out", help="Where directories of runs are made.")] = Path("runs")
     controller: Annotated[
         ControllerKind, typer.Option(help="In Python, or in structured text, compiled: plc/*.st.")
     ] = ControllerKind.PYTHON

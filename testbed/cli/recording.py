@@ -15,11 +15,6 @@ app = CommandApp(help=_HELP, no_args_is_help=True)
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, such as truth.mcap.")]
 
 
-@app.callback()
-def recording() -> None:
-    """What is in a recording, whether it is whole, what can be made of it."""
-
-
 @app.command(epilog="Example: longreach recording info runs/demo/plant_emulator/truth.mcap")
 def info(file: File, json_file: JsonFile = None) -> None:
     """Topics, schemas, counts, rates and metadata of a recording; every checksum is verified.

@@ -22,20 +22,7 @@ from testbed.reporting.console import INTERRUPTED, Verbosity, err, nothing_half_
 _DIRECTORY = "config_dir"
 
 
-class _NamesItself:
-    """A refusal of its arguments knows the command, so that the line tells which help to read."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        """As the class beside it."""
-        try:
-            return super().parse_args(ctx, args)  # type: ignore[misc]
-        except TyperException as refused:
-            error: Any = refused
-            error.ctx = getattr(error, "ctx", None) or ctx
-            raise
-
-
-class SharedCommand(_NamesItself, TyperCommand):
+class SharedCommand(TyperCommand):
     """A command with ``--quiet``, ``--verbose`` and, where it has ``--config-dir``, ``--arm``.
 
     An experiment that has an ``--arm`` of its own, such as one that runs several, keeps that.
@@ -50,15 +37,8 @@ class SharedCommand(_NamesItself, TyperCommand):
         self.params += [option for option in _shared_options()[1:] if option.name not in own]
 
 
-class CommandGroup(_NamesItself, TyperGroup):
-    """A group of commands."""
-
-
 class CommandApp(typer.Typer):
     """A Typer whose commands are such, see ``SharedCommand``."""
-
-    def __init__(self, *, cls: type[TyperGroup] = CommandGroup, **options: Any) -> None:
-        super().__init__(cls=cls, **options)
 
     def command(  # type: ignore[override]
         self, name: str | None = None, *, cls: type[TyperCommand] = SharedCommand, **options: Any
@@ -142,7 +122,7 @@ _CAUSES = {  # of what the command line itself refuses
 _ABSENT = {"experiment": "laboratory"}  # command → the distribution and folder that has it
 
 
-class RootGroup(CommandGroup):
+class RootGroup(TyperGroup):
     """The group of all commands."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -12,11 +12,6 @@ from testbed.reporting.console import promised
 app = CommandApp(help="Tokens of the REST APIs, and keys of the link.", no_args_is_help=True)
 
 
-@app.callback()
-def token() -> None:
-    """Tokens of the REST APIs, and keys of the link."""
-
-
 @app.command(epilog="Example: longreach token new operate.token look.token")
 def new(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Files to be made.")],

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 from rich.table import Table
@@ -90,11 +90,6 @@ def _number_text(number: Uncertain, unit: float, digits: int) -> str:
     return f"{unit * number.value:.{digits}f} ± {unit * number.std:.{digits}f}"
 
 
-def findings_json(found: Mapping[int, JointFindings]) -> dict[str, Any]:
-    """The same numbers for a JSON file, SI and bar, by joint."""
-    return {JOINTS[joint]: one._asdict() for joint, one in sorted(found.items())}
-
-
 LONGEST_MIN = 15.0  # of arm time, that commissioning shall stay below
 
 
@@ -145,7 +140,8 @@ def run_commission(request: CommissionRequest) -> bool:
     found = _findings_of(session, settings)
     if found:
         out.print(findings_table(found))
-    write_json(request.json, {"joints": findings_json(found), "complete": complete})
+    joints_json = {JOINTS[joint]: one._asdict() for joint, one in sorted(found.items())}
+    write_json(request.json, {"joints": joints_json, "complete": complete})
     whole = complete and all(joint in found for joint in joints)
     if whole:
         _write(found, settings, session, request.directory)
@@ -163,8 +159,13 @@ def _tried_out(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: TrialSession
 ) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told and noted, the arm then stands."""
+    kept = kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {request.directory}")
     try:
-        seconds, failure = _excite(settings, request, joints, session)
+        with kept, bars() as shown, shown.step("trying out the valves") as bar:
+            world = World(with_excitation(settings, joints), request.seed, RunLog())
+            for order in request.faults:
+                obey(order, world.plant, Scene(settings.scene).cover)
+            seconds, failure = excite_in_lockstep(world, session.keep, bar.update)
     except (MeasurementFailed, LinkLost) as error:
         session.ended_by(Failure(error.cause, joints[0], 0.0, 0.0))
         return _broken_off(f"{error.cause}: {error}")
@@ -173,20 +174,6 @@ def _tried_out(
         return True
     session.ended_by(failure)
     return _broken_off(failure_words(failure))
-
-
-def _excite(
-    settings: Settings, request: CommissionRequest, joints: Sequence[int], session: TrialSession
-) -> tuple[float, Failure | None]:
-    with (
-        kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {request.directory}"),
-        bars() as shown,
-        shown.step("trying out the valves") as bar,
-    ):
-        world = World(with_excitation(settings, joints), request.seed, RunLog())
-        for order in request.faults:
-            obey(order, world.plant, Scene(settings.scene).cover)
-        return excite_in_lockstep(world, session.keep, bar.update)
 
 
 def _broken_off(why: str) -> bool:

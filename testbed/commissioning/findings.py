@@ -88,21 +88,13 @@ def joint_findings(recording: JointRecording, compensated: bool) -> JointFinding
         max((s.u.max() for s in strokes if s.sense == sense), default=0.0) - edge.deadband.value
         for sense, edge in ((1.0, raising), (-1.0, lowering))
     ]
-    found = JointFindings(
-        recording.joint,
-        raising,
-        lowering,
-        (float(opened[0]), float(opened[1])),
-    )
-    for sense, edge in zip(_SENSES, (raising, lowering), strict=True):
-        _judge(f"{JOINT_NAMES[recording.joint]} {_SENSES[sense]}", edge)
-    return found
+    return JointFindings(recording.joint, raising, lowering, (float(opened[0]), float(opened[1])))
 
 
 def _of_sense(joint: int, strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings:
-    """``edge_findings``, whose refusal names the joint and its sense."""
+    """``edge_findings``, judged; a refusal names the joint and its sense."""
     try:
-        return edge_findings(strokes, sense)
+        return _judged(edge_findings(strokes, sense))
     except MeasurementFailed as error:
         where = f"{JOINT_NAMES[joint]} {_SENSES[sense]}"
         raise MeasurementFailed(error.cause, f"{where}: {error}") from error
@@ -119,7 +111,8 @@ def _with_pressures(recording: JointRecording) -> None:
             )
 
 
-def _judge(where: str, edge: EdgeFindings) -> None:
+def _judged(edge: EdgeFindings) -> EdgeFindings:
+    """``edge``, if it can be used. Raises MeasurementFailed."""
     gain, deadband, std = edge.gain.value, edge.deadband.value, edge.deadband.std
     low, high = _GAINS
     left = f"the model leaves {1e3 * edge.residual:.2f} mrad, limit {1e3 * UNLIKE_RAD:g} mrad"
@@ -131,7 +124,8 @@ def _judge(where: str, edge: EdgeFindings) -> None:
         (not low < gain < high, "at_bound", f"flow over nominal {gain:.3g}, limits {low:g} and {high:g}"),
     ):
         if is_wrong:
-            raise MeasurementFailed(f"measurement.{cause}", f"{where}: {why}")
+            raise MeasurementFailed(f"measurement.{cause}", why)
+    return edge
 
 
 def commissioned_from(

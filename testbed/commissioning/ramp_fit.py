@@ -1,4 +1,4 @@
-"""The rims of one valve edge, its flow and its oil's compliance from triangles, its delay from steps; pure.
+"""The rims of one valve edge, its flow and its oil's compliance from triangles and steps; pure.
 
 Integrated once, dq/dt = g e f(u − c) − κ dp/dt − α da/dt is linear in all but the rims c: they alone are
 sought. a(p) is how far air in the oil is compressed: a slew's chambers stand a few bar above the tank, where
@@ -18,7 +18,6 @@ from testbed.commissioning.recording import Array, StrokeRecord
 
 _OPENING = 0.3  # of the rising ramp, in which the valve may still be closed
 _SHARED = 4  # unknowns of all parts, before an offset each
-_DELAYS_S = np.arange(0.0, 0.3, 0.001)
 _GAIN_FLOOR = 0.01
 _CURVATURE_STD = 1.0  # prior of the flow's curvature: progressive notches have 0.7
 _AIR_BAR = 80.0  # prior of what air makes of the compliance: 1 % of air in oil that is as stiff as 8000 bar
@@ -52,7 +51,7 @@ class RampFits(NamedTuple):
     residual: float
 
 
-def fit_flowing(triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]]) -> RampFits:
+def fit_flowing(triangles: Sequence[StrokeRecord], steps: Sequence[StrokeRecord]) -> RampFits:
     """The fit by rows with flow, and where they are too few by rows in motion.
 
     A load that swings on its oil is quick and slow while the flow hardly changes, and rows that are sorted by
@@ -79,12 +78,12 @@ def _compliance(triangles: Sequence[StrokeRecord]) -> float:
 
 def fit_ramps(
     triangles: Sequence[StrokeRecord],
-    steps: Sequence[tuple[StrokeRecord, float]] = (),
+    steps: Sequence[StrokeRecord] = (),
     compliance: float = 0.0,
 ) -> RampFits:
     """The RampFits of one sense's triangles: one gain, curvature, compliance and share of air, two rims each.
 
-    ``steps``, each with its delay (s), reach further open than triangles: they tell the curvature.
+    ``steps`` reach further open than triangles: they tell the curvature.
     ``compliance`` (rad/bar) sorts rows by the flow that it makes of speed and pressure; 0: by the speed.
 
     Given the rims, all else is linear: they alone are sought, by Gauss-Newton. Raises MeasurementFailed when
@@ -100,7 +99,7 @@ def fit_ramps(
     count = sum(len(part.rows) for part in parts)
     outward = np.zeros(len(halves))
     outward[ways > 0.0] = _at_rest(rates[ways > 0.0])
-    parts += [_Part(s, rows, outward) for s, delay in steps for rows in plateaus(s, delay)]
+    parts += [_Part(step, rows, outward) for step in steps for rows in plateaus(step)]
     airy = _AIR_BAR * _compliance(triangles)
     rims, jacobian = _rims(parts, halves, np.column_stack([np.ones_like(ways), ways, ways * rates]), airy)
     left, found = _misfit(parts, rims, airy)
@@ -172,24 +171,6 @@ def _at_rest(rates: Array) -> Array:
         return np.full(len(rates), 1.0 / len(rates))
     matrix = np.column_stack([np.ones_like(rates), rates])
     return np.asarray(np.linalg.pinv(matrix)[0])
-
-
-def step_delay(stroke: StrokeRecord) -> float:
-    """The delay (s) of a step from command to flow: constant flow from then on fits best."""
-    passed = integral(stroke.t, stroke.e)
-    best: tuple[float, float] | None = None
-    for delay in _DELAYS_S:
-        if delay > 0.6 * stroke.t[-1]:
-            break
-        since = np.maximum(passed - np.interp(delay, stroke.t, passed), 0.0)
-        matrix = np.column_stack([np.ones_like(since), since, -1e-4 * (stroke.inlet - stroke.inlet[0])])
-        found, *_ = np.linalg.lstsq(matrix, stroke.turned, rcond=None)
-        residual = float(np.sqrt(np.mean((stroke.turned - matrix @ found) ** 2)))
-        if best is None or residual < best[0]:
-            best = residual, float(delay)
-    if best is None:
-        raise MeasurementFailed("measurement.step_too_short", f"a step of {stroke.t[-1]:.3f} s")
-    return best[1]
 
 
 def integral(t: Array, values: Array) -> Array:

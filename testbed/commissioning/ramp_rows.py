@@ -70,9 +70,11 @@ def is_settled(stroke: StrokeRecord) -> NDArray[np.bool_]:
     return np.asarray(~quick & (stroke.t - np.maximum.accumulate(since) > _FOLLOWS_S))
 
 
-def plateaus(stroke: StrokeRecord, delay: float) -> list[NDArray[np.intp]]:
+def plateaus(stroke: StrokeRecord) -> list[NDArray[np.intp]]:
     """The runs of a step in motion, once its flow is steady and metered by the edge that is told."""
-    steady = (stroke.t > delay + _FOLLOWS_S) & _moves(stroke) & (stroke.fed_bar > FED_BAR)
+    moves = _moves(stroke)
+    began_s = stroke.t[np.argmax(moves)]
+    steady = (stroke.t > began_s + _FOLLOWS_S) & moves & (stroke.fed_bar > FED_BAR)
     return [rows for rows in runs_of(steady) if _seconds(stroke, rows) >= SHORTEST_S]
 
 

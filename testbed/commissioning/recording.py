@@ -122,6 +122,17 @@ def strokes_in(recording: JointRecording, compensated: bool) -> list[StrokeRecor
 
 
 def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense: float) -> StrokeRecord:
+    """The stroke of ``rows`` along ``sense``, with the nominal speed of either edge full open at the pressure
+    that is left across it.
+
+    Source: free speed v = K √((A_a p_s − A_b p_t)/(A_a³ + A_b³)) and A_a v = K √(p_s − p_a) give the drop of
+    the filling edge at which the nominal speed holds, (p_s − r p_t)/(1 + r³) with r = A_b/A_a; retracting,
+    r² (r p_s − p_t) over the same. By A_b v = K √(p_b − p_t) the emptying edge's is r² times that, extending,
+    and 1/r² times that, retracting.
+    """
+    r, (supply, back) = rec.area_ratio, rec.rated
+    rated = (supply - r * back if sense > 0.0 else r * r * (r * supply - back)) / (1.0 + r**3)
+    nominal = rec.full_speed[rows, 0 if sense > 0.0 else 1]
     u = sense * rec.valve[rows]
     q = rec.q[rows, rec.joint]
     inlet, outlet = rec.chambers[rows].T if sense > 0.0 else rec.chambers[rows, ::-1].T
@@ -131,11 +142,11 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
         t=rec.t[rows] - rec.t[rows[0]],
         u=u,
         turned=sense * (q - q[0]),
-        e=_available(rec, rows, inlet, sense),
+        e=nominal * np.sqrt(np.maximum(rec.supply[rows] - inlet, 1.0) / rated),
         inlet=inlet,
         top=int(np.argmax(u)),
-        nominal=rec.full_speed[rows, 0 if sense > 0.0 else 1],
-        e_by_outlet=_available_by_outlet(rec, rows, outlet, sense),
+        nominal=nominal,
+        e_by_outlet=nominal * np.sqrt(np.maximum(outlet - rec.back[rows], 0.0) / rated * r ** (-2.0 * sense)),
         outlet=outlet,
         fed_bar=inlet - rec.back[rows],
         air=air_compressed(inlet),
@@ -145,33 +156,6 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
 def air_compressed(pressure: Array) -> Array:
     """The share (n,) of its volume at the atmosphere that air loses at ``pressure`` (bar, absolute)."""
     return np.asarray(1.0 - (_ATMOSPHERE_BAR / np.maximum(pressure, _LEAST_BAR)) ** (1.0 / _POLYTROPIC))
-
-
-def _available(rec: JointRecording, rows: NDArray[np.intp], inlet: Array, sense: float) -> Array:
-    """Nominal speed with the filling edge full open, at the pressure that is left across it.
-
-    Source: free speed v = K √((A_a p_s − A_b p_t)/(A_a³ + A_b³)) and A_a v = K √(p_s − p_a) give the drop at
-    which the nominal speed holds, (p_s − r p_t)/(1 + r³) with r = A_b/A_a; retracting, r² (r p_s − p_t)
-    over the same.
-    """
-    r, (supply, back) = rec.area_ratio, rec.rated
-    raising = sense > 0.0
-    rated = (supply - r * back if raising else r * r * (r * supply - back)) / (1.0 + r**3)
-    left = np.maximum(rec.supply[rows] - inlet, 1.0)
-    return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
-
-
-def _available_by_outlet(rec: JointRecording, rows: NDArray[np.intp], outlet: Array, sense: float) -> Array:
-    """Nominal speed with the emptying edge full open, at the pressure across it to the tank.
-
-    As in ``_available`` with A_b v = K √(p_b − p_t): at the nominal speed the drop is r² times the filling
-    edge's, extending, and 1/r² times that, retracting.
-    """
-    r, (supply, back) = rec.area_ratio, rec.rated
-    raising = sense > 0.0
-    rated = (r * r * (supply - r * back) if raising else r * supply - back) / (1.0 + r**3)
-    left = np.maximum(outlet - rec.back[rows], 0.0)
-    return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
 
 
 _DIGITS = 16  # of a recording's hash, told with every number

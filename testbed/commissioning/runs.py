@@ -40,9 +40,10 @@ def excite_in_lockstep(
         world.clock.advance()
         program = controller.excitation
         while done < program.stroke:
-            keep(plan.strokes[done].joint, plan.strokes, controller.samples)
+            joint = plan.strokes[done].joint
+            keep(joint, plan.strokes, controller.samples)
             controller.samples = []
-            done = _after(plan.strokes, done)
+            done += sum(stroke.joint == joint for stroke in plan.strokes)  # one after the other
             progress(done / len(plan.strokes), f"{1e-9 * (world.time_ns - began_ns):.0f} s of arm time")
         seconds = 1e-9 * (world.time_ns - began_ns)
         if program.finished(plan) or program.failure is not None:
@@ -56,14 +57,6 @@ def excite_in_lockstep(
             )
         if seconds > _LONGEST_S:
             raise MeasurementFailed("measurement.stopped", f"no end after {seconds:.0f} s")
-
-
-def _after(strokes: Sequence[Stroke], index: int) -> int:
-    """The first stroke of the next joint."""
-    joint = strokes[index].joint
-    while index < len(strokes) and strokes[index].joint == joint:
-        index += 1
-    return index
 
 
 def _rest(world: World) -> None:

@@ -1,4 +1,4 @@
-"""Deadband, hysteresis, delay and flow of one valve edge from ramps and steps; pure functions.
+"""Deadband, hysteresis, lag and flow of one valve edge from ramps and steps; pure functions.
 
 Above the deadband's rim c the joint moves with dq/dt = g e f(u − c) − κ dp/dt − α da/dt, f(x) = x + k x²: g
 is the true flow over the nominal one, e the nominal speed at full opening at the measured pressures, u the
@@ -25,7 +25,7 @@ from scipy.optimize import minimize_scalar
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.ramp_fit import Floor, Loop, fit_flowing, loop_of, step_delay
+from testbed.commissioning.ramp_fit import Floor, Loop, fit_flowing, loop_of
 from testbed.commissioning.ramp_rows import FED_BAR, SLOW, Uncertain, smoothed_speed
 from testbed.commissioning.recording import StrokeRecord, air_compressed
 from testbed.commissioning.return_edge import METERS_RAD, between, holds_back, meets, return_edge
@@ -158,7 +158,7 @@ def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
 
 def _edge_findings(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     triangles = _full_triangles(strokes)
-    steps = [(stroke, step_delay(stroke)) for stroke in strokes if stroke.kind is StrokeKind.STEP]
+    steps = [stroke for stroke in strokes if stroke.kind is StrokeKind.STEP]
     if len(triangles) < 2 or len(steps) < 2:
         why = f"{len(triangles)} full ramps and {len(steps)} steps: two of each are wanted"
         raise MeasurementFailed("measurement.too_few_strokes", why)

@@ -16,7 +16,7 @@ from testbed.choices import ClockKind, ControllerKind
 from testbed.demonstration.sequence import (
     Recorder,
     Rest,
-    TimedTruth,
+    TimedTruths,
     demonstrate,
     error_trace,
     stages,
@@ -74,7 +74,7 @@ def run_demo(
                 details = drive(launch, choice, rig, recorder, supervisor)
         recording = read_truth(launch.records(PLANT) / "truth.mcap")
         # The plant's clock is vision's too: one of the machine, or the plant's own.
-        truths = [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
+        truths = [(record.log_ns, record.truth) for record in recording.truths]
         details |= {"directory": directory, "faults": [fault._asdict() for fault in recording.faults]}
         mode = "three processes, by the plant's clock" if launch.clock is ClockKind.PLANT else "real time"
         wall_s = time.monotonic() - began_s
@@ -116,14 +116,14 @@ def judged(
     choice: Choice,
     settings: Settings,
     rests: Sequence[Rest],
-    truths: Sequence[TimedTruth],
+    truths: TimedTruths,
     wall_s: float,
     details: JSON,
 ) -> tuple[Outcome, ErrorTrace]:
     """What was reached, by the plant's own ``truths``, and the true error over the run."""
     clearance_m = settings.vision.programs.positioning.clearance_m
     ends = stages(rests, truths, clearance_m)
-    simulated_s = 1e-9 * (truths[-1].time_ns - truths[0].time_ns)
+    simulated_s = 1e-9 * (truths[-1][0] - truths[0][0])
     request = choice.scenario, choice.seed, choice.looks
     return Outcome(mode, *request, ends, wall_s, simulated_s, details), error_trace(truths, clearance_m)
 
@@ -154,7 +154,7 @@ def run_lockstep(
         except LongreachError as error:
             details["failure"] = f"{error.cause}: {error}"
             log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))
-    truths = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
+    truths = [(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
     details["event_log_sha256"] = log.digest()
     wall_s = time.perf_counter() - began_s
     outcome, trace = judged("lockstep", choice, settings, recorder.rests, truths, wall_s, details)

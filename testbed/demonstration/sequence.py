@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
@@ -64,11 +63,8 @@ class Rest(NamedTuple):
     predicted: JSON | None = None
 
 
-class TimedTruth(NamedTuple):
-    """What was true at ``time_ns`` of vision's clock."""
-
-    time_ns: int
-    truth: PlantTruth
+TimedTruths = Sequence[tuple[int, PlantTruth]]
+"""What was true, and when by vision's clock (ns)."""
 
 
 class Recorder:
@@ -158,16 +154,26 @@ def _xyz(values: JSON) -> str:
     return "/".join(f"{values[axis]:.1f}" for axis in "xyz")
 
 
-def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: float) -> tuple[Stage, ...]:
+def stages(rests: Sequence[Rest], truths: TimedTruths, clearance_m: float) -> tuple[Stage, ...]:
     """The rests with what was true then; times count from the first truth."""
-    times_ns = np.array([truth.time_ns for truth in truths], dtype=np.int64)
+    times_ns = np.array([time_ns for time_ns, _ in truths], dtype=np.int64)
+    errors = np.array([tool_error(truth, clearance_m) for _, truth in truths])
+    angles = np.array([angle_between(truth.R_CM, truth.R_CO) for _, truth in truths])
+
+    def true(time_ns: int) -> Errors:
+        """The mean around ``time_ns``; NaN, which passes no limit, where there is nothing."""
+        around = np.abs(times_ns - time_ns) <= AROUND_NS
+        if not around.any():
+            return Errors(np.full(3, np.nan), float("nan"))
+        return Errors(errors[around].mean(axis=0), float(angles[around].mean()))
+
     return tuple(
         Stage(
             rest.label,
             rest.look_number,
             1e-9 * (rest.time_ns - int(times_ns[0])),
             None if rest.look is None else _measured_errors(rest.look, clearance_m),
-            _true(rest.time_ns, times_ns, truths, clearance_m),
+            true(rest.time_ns),
             rest.note,
             rest.predicted,
         )
@@ -180,22 +186,9 @@ def _measured_errors(look: Look, clearance_m: float) -> Errors:
     return Errors(p, angle_between(look.X_CM[:3, :3], look.X_CO[:3, :3]))
 
 
-def _true(
-    time_ns: int, times_ns: NDArray[np.int64], truths: Sequence[TimedTruth], clearance_m: float
-) -> Errors:
-    """The mean of the truths around ``time_ns``; NaN, which passes no limit, where there are none."""
-    around = [truths[int(i)].truth for i in np.flatnonzero(np.abs(times_ns - time_ns) <= AROUND_NS)]
-    if not around:
-        return Errors(np.full(3, np.nan), float("nan"))
-    errors = np.array([tool_error(truth, clearance_m) for truth in around])
-    angles = [angle_between(truth.R_CM, truth.R_CO) for truth in around]
-    return Errors(errors.mean(axis=0), float(np.mean(angles)))
-
-
-def error_trace(truths: Sequence[TimedTruth], clearance_m: float) -> ErrorTrace:
+def error_trace(truths: TimedTruths, clearance_m: float) -> ErrorTrace:
     """The true error over the run; times count from the first truth."""
-    begin_ns = truths[0].time_ns
     return ErrorTrace(
-        time_s=np.array([1e-9 * (truth.time_ns - begin_ns) for truth in truths]),
-        error_m=np.array([tool_error(truth.truth, clearance_m) for truth in truths]),
+        time_s=np.array([1e-9 * (time_ns - truths[0][0]) for time_ns, _ in truths]),
+        error_m=np.array([tool_error(truth, clearance_m) for _, truth in truths]),
     )

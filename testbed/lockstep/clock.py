@@ -3,7 +3,8 @@
 import hashlib
 import json
 import types
-from collections.abc import Callable, Coroutine, Generator
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from controller.core.scan import scan
@@ -11,7 +12,7 @@ from controller.core.scan_types import ControllerView, ScanInput, ScanOutput, in
 from controller.core.settings import ScanSettings
 from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, Reason
-from protocol.process_image import SensorImage, decode_sensors, decode_valves, encode_sensors, encode_valves
+from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import FLAG_SETTLED, Command, ReferencePath, ReferencePose
 from testbed.reporting.console import plain
 
@@ -21,25 +22,15 @@ class RunLog:
 
     def __init__(self) -> None:
         self.events: list[dict[str, Any]] = []
-        self._hash = hashlib.sha256()
 
     def add(self, time_ns: int, event: str, **fields: Any) -> None:
-        """Append the event to the log. Floats enter the hash with all their digits."""
-        entry = {"time_ns": time_ns, "event": event, **plain(fields)}
-        self.events.append(entry)
-        self._hash.update(json.dumps(entry, sort_keys=True).encode() + b"\n")
+        """Append the event to the log."""
+        self.events.append({"time_ns": time_ns, "event": event, **plain(fields)})
 
     def digest(self) -> str:
-        """SHA-256 of all lines so far, in hexadecimal."""
-        return self._hash.hexdigest()
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "RunLog":
-        """A log of its own that goes on from here: what a forked world writes to."""
-        other = RunLog()
-        other.events = list(self.events)
-        other._hash = self._hash.copy()
-        memo[id(self)] = other
-        return other
+        """SHA-256 of all lines so far, in hexadecimal; floats enter it with all their digits."""
+        lines = [json.dumps(event, sort_keys=True) + "\n" for event in self.events]
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 class ClosedLoop:
@@ -50,9 +41,7 @@ class ClosedLoop:
         self.plant = plant
         self.state = initial_state(settings)
         self.now_ns = 0
-        self.link_alive = True
         self.outputs: ScanOutput | None = None
-        self.watch: Callable[[SensorImage, ScanOutput], None] | None = None
         self._words: list[int] | None = None
         self._ids = 0
 
@@ -68,11 +57,9 @@ class ClosedLoop:
             self.plant.write(decode_valves(self._words))
         sensors = decode_sensors(encode_sensors(self.plant.read()))
         now_ns, dt_s = self.now_ns, self.settings.cycle_s
-        inputs = ScanInput(now_ns, now_ns, dt_s, sensors, requests, self.link_alive)
+        inputs = ScanInput(now_ns, now_ns, dt_s, sensors, requests, True)
         self.state, self.outputs = scan(self.settings, self.state, inputs)
         self._words = encode_valves(self.outputs.valves)
-        if self.watch is not None:
-            self.watch(sensors, self.outputs)
         self.plant.advance(cycle_ns)
         self.now_ns += cycle_ns
         return self.outputs
@@ -136,8 +123,16 @@ class _Wait(NamedTuple):
     until_ns: int
 
 
+@dataclass(eq=False)
+class _Work:
+    """A program in the background, and what it waits for."""
+
+    program: Coroutine[Any, Any, None]
+    wait: _Wait | None = None
+
+
 class LockstepClock:
-    """Implements ``Clock``, ``Worker``, ``Background`` and ``LinkTransport`` of the application's ports.
+    """Implements ``Clock``, ``Worker`` and ``Background`` of the application's ports.
 
     Whoever waits in the foreground lets the world's cycles pass. Programs in the background go on after each
     cycle in which what they wait for has happened. Computing takes no simulated time.
@@ -145,7 +140,7 @@ class LockstepClock:
 
     def __init__(self, world: Stepped) -> None:
         self._world = world
-        self._works: list[LockstepWork] = []
+        self._works: list[_Work] = []
         self._in_background = False
 
     @property
@@ -178,9 +173,6 @@ class LockstepClock:
     def wake(self) -> None:
         """Return at once: who waits looks again after every cycle anyway."""
 
-    def flush(self) -> None:
-        """Return at once: the world takes what the link has to send with its next cycle."""
-
     async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for ``happened()``. Return False when ``timeout_s`` have passed first."""
         if not self._in_background:
@@ -193,71 +185,32 @@ class LockstepClock:
         """What ``work`` returns."""
         return work()
 
-    def start(self, program: Coroutine[Any, Any, None]) -> "LockstepWork":
-        """Start ``program`` in the background: it runs at once, until it first waits."""
-        work = LockstepWork(program, self)
+    def start(self, program: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
+        """Start ``program`` in the background: it runs at once, until it first waits. Return what ends it."""
+        work = _Work(program)
         self._works.append(work)
         self._go_on(work)
-        return work
 
-    def _go_on(self, work: "LockstepWork") -> None:
+        async def end() -> None:
+            program.close()
+            if work in self._works:
+                self._works.remove(work)
+
+        return end
+
+    def _go_on(self, work: _Work) -> None:
+        """Run the program until it waits for what has not happened yet."""
         self._in_background = True
         try:
-            work.go_on(self.now_ns)
-        finally:
-            self._in_background = False
-        if work.ended:
-            self._works.remove(work)
-
-    def leave(self, work: "LockstepWork") -> None:
-        """Do not go on with ``work``."""
-        if work in self._works:
-            self._works.remove(work)
-
-
-class LockstepWork:
-    """Implements ``vision_pc.application.ports.BackgroundWork`` in simulated time."""
-
-    def __init__(self, program: Coroutine[Any, Any, None], clock: LockstepClock) -> None:
-        self._program = program
-        self._clock = clock
-        self._wait: _Wait | None = None
-        self._error: Exception | None = None
-        self._ended = False
-
-    @property
-    def ended(self) -> bool:
-        """Return True if the program has returned or raised."""
-        return self._ended
-
-    def go_on(self, now_ns: int) -> None:
-        """Run the program until it waits for what has not happened yet."""
-        while not self._ended and (
-            self._wait is None or self._wait.happened() or now_ns >= self._wait.until_ns
-        ):
-            try:
-                waits_for = self._program.send(None)
-            except StopIteration:
-                self._ended = True
-            except Exception as error:
-                self._ended, self._error = True, error
-            else:
+            while work.wait is None or work.wait.happened() or self.now_ns >= work.wait.until_ns:
+                waits_for = work.program.send(None)
                 if not isinstance(waits_for, _Wait):
                     raise RuntimeError("a program in lockstep waited for something outside of simulated time")
-                self._wait = waits_for
-
-    async def join(self) -> None:
-        """Let time pass until the end. Raises what the program raised."""
-        while not self._ended:
-            self._clock.advance()
-        if self._error is not None:
-            raise self._error
-
-    async def cancel(self) -> None:
-        """End the program where it waits."""
-        self._program.close()
-        self._ended = True
-        self._clock.leave(self)
+                work.wait = waits_for
+        except StopIteration:
+            self._works.remove(work)
+        finally:
+            self._in_background = False
 
 
 @types.coroutine

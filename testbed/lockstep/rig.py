@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -33,7 +33,6 @@ from vision_pc.shell.recording.vision_recorder import EYES, FILE, SIMULATED, Vis
 TRUTH = Path("plant_emulator") / "truth.mcap"
 CONTROLLER = Path("controller")
 VISION = Path("vision_pc") / FILE
-T = TypeVar("T")
 
 
 class LockstepRig:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -61,18 +61,8 @@ class Sight(NamedTuple):
 class LockstepFrames(CameraFeed[F], ABC):
     """Vision's feed, filled from the world's exposures; in lockstep a frame arrives when it is sent."""
 
-    rectifies: ClassVar[bool] = False
-
     def __init__(self, world: World) -> None:
-        """Raise ConfigurationError where frames that nobody rectifies meet a raw camera's calibration."""
-        camera = world.settings.vision.camera
-        if isinstance(camera.calibration, StereoCalibration) and not self.rectifies:
-            raise ConfigurationError(
-                "configuration.raw_camera",
-                f"vision.camera.calibration: {camera.calibration.source}: these eyes take no raw pairs, "
-                "rendered pictures do (--eyes pixels)",
-            )
-        super().__init__(camera, world.clock)
+        super().__init__(world.settings.vision.camera, world.clock)
         self._world = world
         self.connected()
 
@@ -123,8 +113,6 @@ class UndrawnPair(StereoPair):
 
 class PixelFrames(LockstepFrames[StereoPair]):
     """Stereo pairs, rectified where vision's calibration is a raw camera's; drawn when they are looked at."""
-
-    rectifies = True
 
     def __init__(self, world: World) -> None:
         super().__init__(world)
@@ -212,7 +200,14 @@ def load_eye_model(config_dir: Path, condition: EyeCondition = "usual") -> EyeMo
 
 
 def simulated_sight(world: World, model: EyeModelConfig, seed: int) -> Sight:
-    """Eyes without pictures on ``world``; bit-identical for a ``seed``."""
+    """Eyes without pictures on ``world``; bit-identical for a ``seed``.
+
+    Raises ConfigurationError for a raw camera's calibration: nobody rectifies.
+    """
+    known = world.settings.vision.camera.calibration
+    if isinstance(known, StereoCalibration):
+        why = f"{known.source}: these eyes take no raw pairs, rendered pictures do (--eyes pixels)"
+        raise ConfigurationError("configuration.raw_camera", f"vision.camera.calibration: {why}")
     return Sight(SimulatedFrames(world), SimulatedSensor(world.settings, model, seed))
 
 
@@ -238,7 +233,9 @@ class SimulatedSensor:
         camera = as_found(self.camera, previous)
         sightings, unfit = [], dict[int, str]()
         for number, seen in sorted(self._view.markers(frame.shown).items()):
-            if number not in settings.sizes or seen.left is None or self._misses():
+            if number not in settings.sizes or seen.left is None:
+                continue
+            if self._rng.random() < self._model.corners.missed_share:
                 continue
             left = self._rays(camera.left, number, 0, seen.left)
             right = None if seen.right is None else self._rays(camera.right, number, 1, seen.right)
@@ -267,22 +264,16 @@ class SimulatedSensor:
             self._rng,
         )
 
-    def _misses(self) -> bool:
-        return bool(self._rng.random() < self._model.corners.missed_share)
-
     def _rays(self, model: CameraModel, marker: int, eye: int, exact: Array) -> Array:
         """Rays (4, 2) of the corners as refined in the picture."""
         corners = self._model.corners
-        bias = [self._bias(marker, 4 * eye + k, pixel) for k, pixel in enumerate(exact)]
+        pixels = np.rint(exact).astype(int).tolist()
+        bias = [_standard_normal(self._seed, marker, 4 * eye + k, *at) for k, at in enumerate(pixels)]
         noise = self._rng.normal(0.0, corners.noise_px, (4, 2))
         return intrinsics.normalised(model, exact + corners.bias_px * np.array(bias) + noise)
-
-    def _bias(self, marker: int, corner: int, pixel: Array) -> Array:
-        """Standard normal (2,), the same whenever this corner falls onto the same pixel."""
-        u, v = np.rint(pixel).astype(int).tolist()
-        return _standard_normal(self._seed, marker, corner, u, v)
 
 
 @lru_cache(maxsize=4096)
 def _standard_normal(*seed: int) -> Array:
+    """Standard normal (2,), the same whenever a corner falls onto the same pixel."""
     return np.random.default_rng(seed).standard_normal(2)

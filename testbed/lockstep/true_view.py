@@ -82,10 +82,10 @@ class TrueView:
         self._standing = _screens(scene.mounts.X_WO, scene.standing)
         corners = scene.marker_corners()
         self._hung = [number for number, (parent, _) in corners.items() if parent == "O"]
-        self._hung_O = _stack_corners([corners[number][1] for number in self._hung])
+        self._hung_O = np.reshape([corners[number][1] for number in self._hung], (-1, 3))
         self._carried = [number for number, (parent, _) in corners.items() if parent == "M"]
         outlines = [_outline(plate) for plate in scene.tool_plates]
-        self._carried_M = _stack_corners([*(corners[number][1] for number in self._carried), *outlines])
+        self._carried_M = np.reshape([*(corners[number][1] for number in self._carried), *outlines], (-1, 3))
         self._latest: _Glance | None = None
 
     def markers(self, shown: Capture) -> dict[int, SeenMarker]:
@@ -209,10 +209,6 @@ def _screens(X_WO: Array, plates: Sequence[Plate]) -> _Screens:
     return _Screens(
         se3_stacks.inverse(np.reshape(poses, (-1, 4, 4))), np.reshape(low, (-1, 2)), np.reshape(high, (-1, 2))
     )
-
-
-def _stack_corners(corners: Sequence[Array]) -> Array:
-    return np.reshape(corners, (-1, 3))
 
 
 def _outline(plate: Plate) -> Array:

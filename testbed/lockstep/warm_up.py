@@ -4,11 +4,12 @@ numba compiles on one core, so parts that share no kernel are compiled side by s
 own. A short life of all services in lockstep then compiles what they left.
 """
 
+import ctypes
 import multiprocessing
 import operator
 import os
+import signal
 import sys
-import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -74,21 +75,14 @@ PARTS: tuple[Callable[[], None], ...] = (_controller, _eyes, _plant)  # longest 
 
 def _end_with_parent() -> None:
     """A worker whose parent was ended ends too: it holds a gigabyte, and would compile to its end."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
-
-
-def _watch_parent() -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def main() -> int:
     """Exit status 0, when all is compiled: a bar tells how much is."""
     processes = min(len(PARTS), os.cpu_count() or 1)
     with bars() as shown, shown.step("compiling kernels, once") as bar:
-        with multiprocessing.get_context("spawn").Pool(processes, _watch_parent) as pool:
+        with multiprocessing.get_context("spawn").Pool(processes, _end_with_parent) as pool:
             for done, _ in enumerate(pool.imap_unordered(operator.call, PARTS), 1):
                 bar.update(done / (len(PARTS) + 1))
         _whole_life()

@@ -15,18 +15,22 @@ from controller.core.scan_program import Parts, own_parts
 from controller.core.scan_types import RuntimeStatistics, ScanInput, ScanOutput, to_state
 from controller.shell.scan_recorder import ScanRecorder
 from foundation.event_log import Level
+from foundation.recording.beginning import SESSION_VARIABLE, session_entries
+from foundation.recording.messages import DirectRecording
 from foundation.secret_source import read_key
 from nominal_arm.dimensions import joint_ranges
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
+from plant_emulator.shell.scene_messages import drawing
+from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.client_session import ReferenceClient
 from protocol.faults import GroupState
 from protocol.process_image import ValveImage, decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import State
 from protocol.session_events import ClientEvent, StateReceived
-from testbed.lockstep.camera_side import CameraSide, LockstepRecording
+from testbed.lockstep.camera_side import CameraSide
 from testbed.lockstep.clock import LockstepClock, RunLog
 from testbed.scenarios.scenario import Settings
 from vision_pc.application.reference_link import ReferenceLink, Streamed, Submitted
@@ -98,7 +102,8 @@ Wire = Callable[[list[bytes]], list[bytes]]
 class World:
     """The physical world, the controller, and vision's end of the reference link.
 
-    ``clock`` alone lets time pass, a controller cycle at a time. ``controller`` is the controller's end of
+    ``clock`` alone lets time pass, a controller cycle at a time; ``time_ns`` is the simulated time, the
+    plant's and the camera's clock. ``controller`` is the controller's end of
     the reference link, ``link`` the shipped client, ``states`` all that it received. ``camera`` exposes at
     its own rate. ``to_controller`` and ``to_vision`` turn the datagrams sent in a cycle into those that
     arrive in it: a wire that loses, repeats or reorders. ``parts`` make the controller's scan and sessions.
@@ -110,12 +115,12 @@ class World:
         self.plant = Plant(settings.plant, seed, Scene(settings.scene).mounts)
         self.camera = CameraSide(settings)
         self.truths: list[PlantTruth] = []
-        self.recording: LockstepRecording | None = None
+        self.recording: TruthRecorder | None = None
         self.to_controller: Wire = list
         self.to_vision: Wire = list
         self._fault_changes_logged = 0
         self.controller = ControllerSide(settings, seed, parts)
-        self._time_ns = 0
+        self.time_ns = 0
         self.clock = LockstepClock(self)
         self.open_link(nonce=seed + 1)
 
@@ -131,20 +136,15 @@ class World:
         )
         self.states: list[State] = []
         journal = LinkJournal(SimulatedTimeLog(self), self.clock)
-        self.link = ReferenceLink(session, self.clock, self.clock, journal, "controller")
+        self.link = ReferenceLink(session, self.clock, lambda: None, journal, "controller")
         self.link.listeners.append(self._on_heard)
         self.link.ranges = joint_ranges(settings.arm)
         self.link.connect()
 
     @property
-    def time_ns(self) -> int:
-        """The simulated time; the plant's and the camera's clock."""
-        return self._time_ns
-
-    @property
     def vision_ns(self) -> int:
         """The time on vision's clock."""
-        return self._time_ns + VISION_CLOCK_NS
+        return self.time_ns + VISION_CLOCK_NS
 
     def _on_heard(self, event: Submitted | Streamed | ClientEvent) -> None:
         """Keep every state; where the tool is then, the log tells as the group's state changes."""
@@ -153,20 +153,27 @@ class World:
             self.states.append(event.state)
             if event.state.group_state is not before:
                 group = GroupState(event.state.group_state).name
-                self.log.add(self._time_ns, "state", group=group, p_m=event.state.X_BT.p_m)
+                self.log.add(self.time_ns, "state", group=group, p_m=event.state.X_BT.p_m)
 
     @property
     def connected(self) -> bool:
         """Return True if the reference link is open and its clocks are known."""
-        return self.link.connected and self.link.clock_offset is not None
+        return self.link.connected and self.link.session.clock is not None
 
     def connect(self) -> None:
         """Let time pass until the reference link is open, at most 5 s."""
         self.clock.advance_until(lambda: self.connected, _CONNECT_S)
 
-    def record_in(self, path: Path, session: str) -> LockstepRecording:
-        """Record the truth from now on in ``path``, until what is returned is closed. Raises OSError."""
-        self.recording = LockstepRecording(path, session, self.settings, self.plant, self.camera)
+    def record_in(self, path: Path, session: str) -> TruthRecorder:
+        """Record the truth from now on in ``path``, in simulated time, until what is returned is closed.
+
+        The same run gives the same bytes. Raises FileExistsError where the file exists, OSError when it
+        cannot be written.
+        """
+        run = {name: getattr(self.settings, name).model_dump(mode="json") for name in ("plant", "scene")}
+        drawn = drawing(self.settings.scene, self.plant.chain, self.plant.time_ns)
+        entries = session_entries("plant_emulator", {SESSION_VARIABLE: session})
+        self.recording = TruthRecorder(path, run, drawn, entries, DirectRecording)
         return self.recording
 
     def step(self) -> None:
@@ -174,13 +181,13 @@ class World:
         self.link.tick()
         datagrams = self.to_controller(self.link.outgoing(self.vision_ns))
         sensor_words = self._exchange()
-        scan_ns = self._time_ns + CONTROLLER_CLOCK_NS
+        scan_ns = self.time_ns + CONTROLLER_CLOCK_NS
         output, replies = self.controller.cycle(sensor_words, datagrams, scan_ns)
         for event in output.events:
-            self.log.add(self._time_ns, "controller", what=event)
+            self.log.add(self.time_ns, "controller", what=event)
         for data in self.to_vision(replies):
             self.link.receive(data)
-        self._pass_time(self._time_ns + self.controller.cycle_ns)
+        self._pass_time(self.time_ns + self.controller.cycle_ns)
 
     def _exchange(self) -> list[int] | None:
         """The plant's sensor words, after it was given the controller's valves; None while it is silent."""
@@ -191,33 +198,34 @@ class World:
 
     def _pass_time(self, until_ns: int) -> None:
         """Advance the plant to ``until_ns``; record truth and take pictures on the way."""
-        while self._time_ns < until_ns:
+        while self.time_ns < until_ns:
             stop_ns = min(
-                until_ns, _next(self._time_ns, TRUTH_PERIOD_NS), _next(self._time_ns, self.camera.period_ns)
+                until_ns, _next(self.time_ns, TRUTH_PERIOD_NS), _next(self.time_ns, self.camera.period_ns)
             )
-            self.plant.advance(stop_ns - self._time_ns)
-            self._time_ns = stop_ns
+            self.plant.advance(stop_ns - self.time_ns)
+            self.time_ns = stop_ns
             self._tell_faults()
             if stop_ns % TRUTH_PERIOD_NS == 0:
                 self.truths.append(self.plant.truth())
-                if self.recording is not None:
-                    self.recording.truth(self.truths[-1])
+                if self.recording is not None and stop_ns % self.camera.period_ns:
+                    self.recording.truth(self.truths[-1], stop_ns, self.plant.links())
             if stop_ns % self.camera.period_ns == 0:
-                self.camera.expose(stop_ns, self.plant)
+                truth, shot, motion = self.camera.expose(stop_ns, self.plant)
+                if self.recording is not None:
+                    self.recording.capture(truth, stop_ns, shot.frame_id, self.plant.links(), motion)
 
     def _tell_faults(self) -> None:
         for change in self.plant.faults.changes[self._fault_changes_logged :]:
             self.log.add(change.time_ns, "fault", **change.injection.as_dict(), phase=change.phase)
             self._fault_changes_logged += 1
             if self.recording is not None:
-                self.recording.fault(change)
+                self.recording.fault(change, change.time_ns)
 
 
 class SimulatedTimeLog:
     """The application's events, written to the run's log with simulated time."""
 
     healthy = True
-    record_dir = None
 
     def __init__(self, world: World) -> None:
         self._world = world

@@ -127,7 +127,7 @@ class PerceptionReplay:
         previous = self._replayed_observation(item)
         found = self._sensor.observe(self._pair(item), previous)
         before = item.previous if item.HasField("previous") else None
-        again = own.observation_bytes(own.NumberedObservation(item.number, before, item.corrected, found))
+        again = own.observation_bytes(item.number, before, item.corrected, found)
         self._observations[item.number] = self._at[found.capture_ns] = found
         self._observations.pop(item.number - _KEPT_OBSERVATIONS, None)
         self.comparison.message(OBSERVATION, item.frame_id, item, again)
@@ -146,20 +146,15 @@ class PerceptionReplay:
         found = odometry.process(pair, X_CM, X_BT)
         if found is not None:
             self._poses[pair.capture_ns] = found
-        made = own.TrackedFrame(
-            item.odometry,
-            pair.capture_ns,
-            pair.frame_id,
-            own.GivenWithFrame(X_CM is not None, X_BT),
-            found or odometry.last_loss or "lost",
-        )
-        self.comparison.message(ODOMETRY, item.frame_id, item, own.tracked_bytes(made))
+        outcome, frame = found or odometry.last_loss or "lost", (pair.frame_id, pair.capture_ns)
+        again = own.tracked_bytes(item.odometry, frame, X_CM is not None, X_BT, outcome)
+        self.comparison.message(ODOMETRY, item.frame_id, item, again)
 
     def _replay_fit(self, item: Any) -> None:
         captures = tuple(item.captures_ns)
         found = self._sensor.errors([self._sample(capture_ns) for capture_ns in captures])
         self._errors = found or self._errors
-        self.comparison.message(ERRORS, len(captures), item, own.fitted_bytes(own.Fitted(captures, found)))
+        self.comparison.message(ERRORS, len(captures), item, own.fitted_bytes(captures, found))
 
     def _look(self, item: Any) -> None:
         self._looks += 1
@@ -175,7 +170,7 @@ class PerceptionReplay:
         except MeasurementFailed as error:
             self.comparison.different(LOOK, self._looks, item.time_ns, "outcome", "a look", error.cause)
             return
-        self.comparison.message(LOOK, self._looks, item, own.look_bytes(own.CombinedLook(look, numbers)))
+        self.comparison.message(LOOK, self._looks, item, own.look_bytes(look, numbers))
 
     def _pair(self, item: Any) -> StereoPair:
         found = self._pairs.get((item.frame_id, item.capture_ns))

@@ -36,14 +36,11 @@ def beginning() -> dict[str, Any]:
 
 @cache
 def library_versions() -> dict[str, str]:
-    """Name → version, as installed here; empty for what is not installed."""
-    versions = {"python": platform.python_version()}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = ""
-    return versions
+    """Name → version of what is installed here."""
+    installed = {one.name: one.version for one in importlib.metadata.distributions()}
+    return {"python": platform.python_version()} | {
+        name: installed[name] for name in _LIBRARIES if name in installed
+    }
 
 
 @cache

@@ -59,7 +59,7 @@ class FaultRig:
 
     def ask(self, request: Command | ReferencePose | ReferencePath) -> Acknowledgement:
         """The answer to a request."""
-        return run(self.world.link.ask(request))
+        return run(self.world.link.answer(self.world.link.submit(request)))
 
     def command(self, code: CommandCode) -> Reason:
         """The reason that answers a command."""

@@ -64,14 +64,14 @@ def test_case_07_the_sequence_wraps_within_a_motion() -> None:
     rig.until(lambda: rig.world.connected)
     rig.moving()
     rig.assert_completes()
-    assert rig.world.link._session._channel.next_sequence < 2**31  # it has wrapped
+    assert rig.world.link.session._channel.next_sequence < 2**31  # it has wrapped
     assert rig.world.controller._server.statistics.dropped == 0
 
 
 def test_case_08_a_sequence_reset_within_a_session_is_refused() -> None:
     rig = FaultRig().moving()
     began_ns, server = rig.now_ns, rig.world.controller._server
-    rig.world.link._session._channel.next_sequence = 1
+    rig.world.link.session._channel.next_sequence = 1
     rig.run(2.0)
     assert server.statistics.dropped > 3
     rig.assert_safe(FaultCode.REFERENCE_LINK_LOST, began_ns, SESSION_END_S)
@@ -95,7 +95,7 @@ def test_case_09_vision_restarts_and_nothing_moves_until_it_is_armed_again() -> 
 
 def references_at_60_hz(rig: FaultRig, seconds: float) -> list[bytes]:
     """What a client sends that goes on for ``seconds`` from now, in order and without a gap."""
-    channel, first_ns = rig.world.link._session._channel, rig.world.vision_ns
+    channel, first_ns = rig.world.link.session._channel, rig.world.vision_ns
     datagrams = []
     for k in range(round(60 * seconds)):
         message = ReferencePose(2**60 + k, rig.shifted(z=0.3), 0.0)

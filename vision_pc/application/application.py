@@ -103,7 +103,7 @@ class VisionApplication:
         self.calibration = self.track = self.newest_look = None
         self.doubts = DoubtKeeper()
         self.camera.targets.lose()
-        self.controller.begin_anew()
+        self.controller.home = None  # where it is heard next is where it stands first
         self.times_anew += 1
         lost = [kept.id for kept in self.camera.targets.list()]
         self.log.write("machine_begun_anew", "warning", targets_lost=lost)

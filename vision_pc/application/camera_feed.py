@@ -20,14 +20,14 @@ _RATE_OVER = 20  # frames over which the rate is measured
 class CameraFeed(Generic[F]):
     """Frames of a camera as they arrive. Capture times are on this machine's clock.
 
-    Who waits for a frame of a camera that is silent, repeats itself or was never there gets ``LinkLost``,
-    never an old frame.
+    ``newest``: the newest frame, None before the first. Who waits for a frame of a camera that is silent,
+    repeats itself or was never there gets ``LinkLost``, never an old frame.
     """
 
     def __init__(self, settings: CameraSettings, clock: Clock) -> None:
         self._settings = settings
         self._clock = clock
-        self._newest: F | None = None
+        self.newest: F | None = None
         self._captures: deque[int] = deque(maxlen=_RATE_OVER)
         self._frames = 0
         self._heard_at_s = 0.0
@@ -37,18 +37,13 @@ class CameraFeed(Generic[F]):
         self._trouble: str | None = "link.camera_missing"
         self._detail = ""
 
-    @property
-    def newest(self) -> F | None:
-        """The newest frame, None before the first."""
-        return self._newest
-
     def status(self) -> CameraStatus:
         """How the camera is doing now."""
         trouble = self._trouble_now()
         span_ns = self._captures[-1] - self._captures[0] if len(self._captures) > 1 else 0
         return CameraStatus(
-            connected=trouble is None and self._newest is not None,
-            age_ms=None if self._newest is None else self._age_ms(),
+            connected=trouble is None and self.newest is not None,
+            age_ms=None if self.newest is None else self._age_ms(),
             frames=self._frames,
             rate_hz=0.0 if span_ns <= 0 else 1e9 * (len(self._captures) - 1) / span_ns,
             dropped=self._dropped,
@@ -66,8 +61,8 @@ class CameraFeed(Generic[F]):
         """
         if not await self._clock.until(lambda: self._fresh_after(capture_ns), self._settings.stale_ms / 1e3):
             raise self._link_lost()
-        assert self._newest is not None
-        return self._newest
+        assert self.newest is not None
+        return self.newest
 
     # The camera's side.
     def connected(self) -> None:
@@ -90,17 +85,17 @@ class CameraFeed(Generic[F]):
             self._trouble = "link.camera_frozen"
         elif self._trouble == "link.camera_frozen":
             self._trouble = None
-        self._newest = frame
+        self.newest = frame
         self._clock.wake()
 
     def _fresh_after(self, capture_ns: int) -> bool:
         """Return True if there is a frame captured since, alive, and not older than the limit."""
-        if self._newest is None or self._newest.capture_ns <= capture_ns:
+        if self.newest is None or self.newest.capture_ns <= capture_ns:
             return False
         return self._trouble != "link.camera_frozen" and self._age_ms() <= self._settings.stale_ms
 
     def _trouble_now(self) -> str | None:
-        since_ns = self._started_ns if self._newest is None else self._newest.capture_ns
+        since_ns = self._started_ns if self.newest is None else self.newest.capture_ns
         if self._trouble is None and self._clock.now_ns - since_ns > self._settings.stale_ms * 1e6:
             return "link.camera_silent"
         return self._trouble
@@ -109,7 +104,7 @@ class CameraFeed(Generic[F]):
         cause = self._trouble_now() or "link.camera_silent"
         age = (
             "no picture ever came"
-            if self._newest is None
+            if self.newest is None
             else f"newest picture is {self._age_ms():.0f} ms old"
         )
         return LinkLost(
@@ -119,5 +114,5 @@ class CameraFeed(Generic[F]):
         )
 
     def _age_ms(self) -> float:
-        assert self._newest is not None
-        return (self._clock.now_ns - self._newest.capture_ns) / 1e6
+        assert self.newest is not None
+        return (self._clock.now_ns - self.newest.capture_ns) / 1e6

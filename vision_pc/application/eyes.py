@@ -5,8 +5,8 @@ Campaigns in lockstep therefore measure the eyes that ship. What differs there i
 frames, and with simulated measurements the sensor.
 """
 
-from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractContextManager, asynccontextmanager, nullcontext
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, nullcontext
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -15,30 +15,32 @@ from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.ports import (
-    BackgroundWork,
     Clock,
     Log,
     Runtime,
     SightRecorder,
 )
 from vision_pc.application.reference_link import ReferenceLink
-from vision_pc.application.targets.carrier import TargetCarrier
+from vision_pc.application.targets.carrier import TargetCarrier, forgotten
 from vision_pc.config.vision import LookSettings
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Sensor, Watcher
 from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth, WatchSample
 
-T = TypeVar("T")
 F = TypeVar("F", bound=CameraFrame)
+_LONGEST_S = 3600.0  # a frame that does not come ends a watch long before
 
 
 class LiveWatch(Generic[F]):
-    """Implements ``vision_pc.core.ports.Watch`` over a watcher that is filled in the background."""
+    """Implements ``vision_pc.core.ports.Watch`` over a watcher that is filled in the background, until that
+    has ``ended``, by an ``error`` or without.
+    """
 
-    def __init__(self, watcher: Watcher[F], gathering: BackgroundWork, clock: Clock) -> None:
+    def __init__(self, watcher: Watcher[F], clock: Clock) -> None:
         self._watcher = watcher
-        self._gathering = gathering
         self._clock = clock
+        self.ended = False
+        self.error: Exception | None = None
 
     @property
     def samples(self) -> tuple[WatchSample, ...]:
@@ -57,26 +59,18 @@ class LiveWatch(Generic[F]):
         Raises what ended the gathering, such as LinkLost for a silent camera.
         """
         self._watcher.live = True
-        await self._clock.until(lambda: self._watcher.count > count or self._gathering.ended, timeout_s)
+        await self._clock.until(lambda: self._watcher.count > count or self.ended, timeout_s)
         if self._watcher.count > count:
             return self._watcher.samples[-1]
-        if self._gathering.ended:
-            await self._gathering.join()
+        if self.error is not None:
+            raise self.error
         return None
 
-
-class Unattended:
-    """As ``TargetCarrier``, where there are no targets."""
-
-    object_wanted = True
-
-    def looking(self) -> AbstractContextManager[Callable[[Look], None]]:
-        """A block of its own."""
-        return nullcontext(lambda _look: None)
-
-    def watching(self) -> AbstractContextManager[Callable[[tuple[WatchSample, ...]], None]]:
-        """A block of its own."""
-        return nullcontext(lambda _samples: None)
+    async def join(self) -> None:
+        """Wait for the end. Raises what ended the gathering."""
+        await self._clock.until(lambda: self.ended, _LONGEST_S)
+        if self.error is not None:
+            raise self.error
 
 
 class FrameEyes(Generic[F]):
@@ -98,7 +92,7 @@ class FrameEyes(Generic[F]):
         self._settings = settings
         self._runtime = runtime
         self._log = log
-        self._attendant = attendant or Unattended()
+        self._attendant = attendant
         self._latest: tuple[F, FrameObservation] | None = None
         self._recorder: SightRecorder[F] | None = None
 
@@ -113,7 +107,7 @@ class FrameEyes(Generic[F]):
         Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused
         (``refused.moving``) while the arm moves, LinkLost when camera or controller is silent.
         """
-        with self._attendant.looking() as looked:
+        with self._attendant.looking() if self._attendant else nullcontext(forgotten) as looked:
             fresh = self._frames_at_rest(frames or self._settings.frames)
             observations = [await self._observed(frame) async for frame in fresh]
             time_ns = int(np.mean([observation.capture_ns for observation in observations]))
@@ -133,33 +127,38 @@ class FrameEyes(Generic[F]):
         clock = self._runtime.clock
         previous = None if self._latest is None else self._latest[1]
         watcher = Watcher(self._sensor, markers=markers, odometry=odometry, previous=previous)
-        watcher.object_wanted = self._attendant.object_wanted
-        with self._attendant.watching() as watched:
+        watcher.object_wanted = self._attendant is None or self._attendant.object_wanted
+        with self._attendant.watching() if self._attendant else nullcontext(forgotten) as watched:
             last_ns = await self._sampled(watcher, clock.now_ns)
             until_ns: list[int] = []
-            gathering = self._runtime.background.start(self._gather(watcher, last_ns, until_ns))
+            watch = LiveWatch(watcher, clock)
+            end = self._runtime.background.start(self._gather(watcher, watch, last_ns, until_ns))
             try:
-                yield LiveWatch(watcher, gathering, clock)
+                yield watch
                 until_ns.append(clock.now_ns)
-                await gathering.join()
+                await watch.join()
                 await self._runtime.worker.run(watcher.measure)
             finally:
-                await gathering.cancel()
+                await end()
             self._latest = watcher.newest or self._latest
             self._log.write("watched", **watcher.health._asdict())
             watcher.require()
             watched(watcher.samples)
         if markers and odometry:
-            await self._calibrated(watcher)
+            # The camera's errors, where these are looked for: it sees with them from now on.
+            await self._runtime.worker.run(watcher.calibrate)
+            self._latest = watcher.newest or self._latest
 
-    async def _calibrated(self, watcher: Watcher[F]) -> None:
-        """Find the camera's errors, where that is configured, and see with them from now on."""
-        await self._runtime.worker.run(watcher.calibrate)
-        self._latest = watcher.newest or self._latest
-
-    async def _gather(self, watcher: Watcher[F], last_ns: int, until_ns: list[int]) -> None:
-        while not until_ns or last_ns < until_ns[0]:
-            last_ns = await self._sampled(watcher, last_ns)
+    async def _gather(
+        self, watcher: Watcher[F], watch: LiveWatch[F], last_ns: int, until_ns: list[int]
+    ) -> None:
+        try:
+            while not until_ns or last_ns < until_ns[0]:
+                last_ns = await self._sampled(watcher, last_ns)
+        except Exception as error:
+            watch.error = error
+        watch.ended = True
+        self._runtime.clock.wake()
 
     async def _sampled(self, watcher: Watcher[F], after_ns: int) -> int:
         """The capture time of the frame of which a sample was added to ``watcher``."""

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from foundation.configuration import validated
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import RequestBody
+from vision_pc.application.bodies import RequestBody, body_of
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.program import MOVING, STANDING, Need, Program
 from vision_pc.application.results import JSON
@@ -18,25 +18,10 @@ HAND_EYE = "hand-eye"
 """Tag of these programs: they are there when the application has a guided session."""
 
 
-class StartSettings(GuidedSettings):
-    """A new session: its name, the seed of its proposals, and the session's own settings."""
-
-    name: str = ""
-    seed: int = 1
-
-    @property
-    def session(self) -> GuidedSettings:
-        """The session's own settings."""
-        return validated(GuidedSettings, self.model_dump(exclude={"name", "seed"}), "request")
-
-
 class StartBody(RequestBody):
     """A new session; what is not given is as configured."""
 
     name: str = Field(examples=["monday"], min_length=1, max_length=64)
-    marker_id: int | None = Field(None, ge=0, le=1023, examples=[582])
-    marker_size_m: float | None = Field(None, gt=0.005, le=2.0, examples=[0.05])
-    poses: int | None = Field(None, ge=5, le=100, examples=[17])
     seed: int = Field(1, ge=0, le=2**31, description="The same seed proposes among the same views")
 
 
@@ -52,17 +37,18 @@ def _row(
     run: Callable[[VisionApplication, Any, Report], Coroutine[Any, Any, JSON]],
     needs: tuple[Need, ...],
     body: type[RequestBody] = RequestBody,
-    settings: Callable[[VisionApplication], Any] | None = None,
 ) -> Program[Any, JSON]:
     """The row of one step of the session; its core is the step of that name."""
     core = getattr(GuidedCalibration, name, GuidedCalibration.next_pose)
     return Program(
-        f"{HAND_EYE}-{name}", title, run, dict, body, settings, needs, core, "docs/hand_eye.md", HAND_EYE
+        f"{HAND_EYE}-{name}", title, run, dict, body, None, needs, core, "docs/hand_eye.md", HAND_EYE
     )
 
 
-async def _start(application: VisionApplication, request: StartSettings, report: Report) -> JSON:
-    return await application.guided.start(request.name, request.session, request.seed, report)
+async def _start(application: VisionApplication, request: StartBody, report: Report) -> JSON:
+    given = application.guided.defaults.model_dump() | request.overrides()
+    name, seed = given.pop("name"), given.pop("seed")
+    return await application.guided.start(name, validated(GuidedSettings, given, "request"), seed, report)
 
 
 HAND_EYE_PROGRAMS = (
@@ -71,8 +57,7 @@ HAND_EYE_PROGRAMS = (
         "Check the starting pose and open a session",
         _start,
         STANDING,
-        StartBody,
-        lambda app: StartSettings(**app.guided.defaults.model_dump()),
+        body_of(GuidedSettings, "marker_id", "marker_size_m", "poses", base=StartBody),
     ),
     _row(
         "next",

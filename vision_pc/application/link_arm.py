@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager
-from functools import partial
 
 import numpy as np
 
@@ -73,15 +72,14 @@ class ArmStream:
 
 def refuse_broken(state: State) -> None:
     """Raises RequestRefused when the group is not in a state in which a motion goes on."""
-    if state.group_state is GroupState.ERROR_STOP:
-        fault = state.fault.name.lower()
-        raise RequestRefused(
-            f"refused.fault_{fault}", f"the motion ended by a fault: {fault.replace('_', ' ')}"
-        )
-    if state.group_state is GroupState.DISABLED:
-        raise RequestRefused("refused.disabled", "the arm is disabled")
-    if state.group_state is GroupState.STOPPING:
-        raise RequestRefused("refused.stopped", "the motion was stopped")
+    fault = state.fault.name.lower()
+    ended = {
+        GroupState.ERROR_STOP: (f"fault_{fault}", f"the motion ended by a fault: {fault.replace('_', ' ')}"),
+        GroupState.DISABLED: ("disabled", "the arm is disabled"),
+        GroupState.STOPPING: ("stopped", "the motion was stopped"),
+    }.get(state.group_state)
+    if ended is not None:
+        raise RequestRefused(f"refused.{ended[0]}", ended[1])
 
 
 def view_of(state: State, link: ReferenceLink) -> ArmView:
@@ -246,8 +244,9 @@ class CarryingArm:
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
     ) -> ArmView:
         """As the arm's, watched."""
-        timed = partial(self._arm.follow, segment_s=segment_s, dwell_s=dwell_s)
-        return await self._move_watched(lambda: timed(waypoints))
+        return await self._move_watched(
+            lambda: self._arm.follow(waypoints, segment_s=segment_s, dwell_s=dwell_s)
+        )
 
     def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
         """As the arm's: whoever streams watches for himself."""

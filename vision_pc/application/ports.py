@@ -1,10 +1,10 @@
-"""What the application needs from outside: a clock, frames, a transport, a log, a place to compute.
+"""What the application needs from outside: a clock, frames, a log, a place to compute.
 
 The service implements these ports with an event loop, sockets and threads; lockstep implements them by
 letting simulated time pass. Everything above them is the same code.
 """
 
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from foundation.event_log import Level
@@ -35,14 +35,6 @@ class Clock(Protocol):
 
     async def until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for ``happened()``. Return False when ``timeout_s`` have passed first."""
-        ...
-
-
-class LinkTransport(Protocol):
-    """Carries a ``ReferenceLink``'s datagrams: it calls the link's ``outgoing``, ``receive`` and ``tick``."""
-
-    def flush(self) -> None:
-        """Send what the link has to send; its next deadline may have changed as well."""
         ...
 
 
@@ -102,28 +94,14 @@ class Worker(Protocol):
         ...
 
 
-class BackgroundWork(Protocol):
-    """A program that runs beside the one that started it."""
-
-    @property
-    def ended(self) -> bool:
-        """Return True if the program has returned or raised."""
-        ...
-
-    async def join(self) -> None:
-        """Wait for the end. Raises what the program raised."""
-        ...
-
-    async def cancel(self) -> None:
-        """End the program where it waits, and wait for that; does nothing if it has ended."""
-        ...
-
-
 class Background(Protocol):
     """Starts programs that run beside the present one."""
 
-    def start(self, program: Coroutine[Any, Any, None]) -> BackgroundWork:
-        """Start ``program``."""
+    def start(self, program: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
+        """Start ``program``, which raises nothing.
+
+        Return what ends it where it waits, and waits for that; it does nothing once the program has ended.
+        """
         ...
 
 

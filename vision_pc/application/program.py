@@ -37,16 +37,16 @@ def at_rest(application: VisionApplication, name: str, settings: Any) -> None:
 def enabled(application: VisionApplication, name: str, settings: Any) -> None:
     """The arm may move: it is enabled, without a latched stop or fault."""
     state = application.controller.state
-    if state.flags & FLAG_EMERGENCY_LATCHED:
-        raise RequestRefused("refused.emergency_latched", f"{name}: the emergency stop is latched")
-    if state.group_state is GroupState.ERROR_STOP:
-        fault = "" if state.fault is FaultCode.NONE else f" ({state.fault.name.lower()})"
-        raise RequestRefused("refused.error_latched", f"{name}: a fault is latched{fault}; reset first")
-    if state.group_state is GroupState.STOPPING:
-        raise RequestRefused("refused.stopping", f"{name}: the arm is stopping")
-
-    if state.group_state is GroupState.DISABLED:
-        raise RequestRefused("refused.disabled", f"{name}: the arm is disabled; enable first")
+    group, fault = state.group_state, state.fault
+    latched = "" if fault is FaultCode.NONE else f" ({fault.name.lower()})"
+    for is_so, cause, why in (
+        (state.flags & FLAG_EMERGENCY_LATCHED, "emergency_latched", "the emergency stop is latched"),
+        (group is GroupState.ERROR_STOP, "error_latched", f"a fault is latched{latched}; reset first"),
+        (group is GroupState.STOPPING, "stopping", "the arm is stopping"),
+        (group is GroupState.DISABLED, "disabled", "the arm is disabled; enable first"),
+    ):
+        if is_so:
+            raise RequestRefused(f"refused.{cause}", f"{name}: {why}")
 
 
 def recording(application: VisionApplication, name: str, settings: Any) -> None:

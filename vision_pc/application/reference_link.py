@@ -8,13 +8,11 @@ nothing here opens a socket or waits anywhere else.
 
 import re
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from protocol.channel import LinkStatistics
-from protocol.client_handshake import Credentials
 from protocol.client_session import ReferenceClient
-from protocol.clock_offset import OffsetEstimate
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, FaultCode, Reason, refusal
 from protocol.reference_messages import (
@@ -35,8 +33,8 @@ from protocol.session_events import (
     StateReceived,
     StreamRefusedReceived,
 )
-from vision_pc.application.ports import Clock, LinkTransport
-from vision_pc.application.state_history import StateHistory
+from vision_pc.application.ports import Clock
+from vision_pc.application.state_history import keep, pose_at
 from vision_pc.core.se3 import Array, from_pose
 
 _WAIT_FOR_STATE_S = 1.0
@@ -66,22 +64,22 @@ Journal = Callable[[Submitted | Streamed | ClientEvent], None]
 class ReferenceLink:
     """One link to the controller; it reconnects on its own from ``connect`` until ``disconnect``.
 
-    ``peer`` names the controller in messages. ``listeners`` are told what ``journal`` is told, after it.
-    ``heard_at_s``: when the newest state came, s since 1970. ``home``: X_BT where the arm stood when the
-    machine was first heard. ``ranges``: of the joints (rad), if the arm that the controller must drive is
-    known: a refusal then names the joint.
+    ``session`` is the protocol's. ``flush`` sends what the link has to send; its next deadline may have
+    changed as well. ``peer`` names the controller in messages. ``listeners`` are told all that happens,
+    ``journal`` first. ``heard_at_s``: when the newest state came, s since 1970. ``home``: X_BT where the arm
+    stood when the machine was first heard. ``ranges``: of the joints (rad), if the arm that the controller
+    must drive is known: a refusal then names the joint.
     """
 
     def __init__(
-        self, session: ReferenceClient, clock: Clock, transport: LinkTransport, journal: Journal, peer: str
+        self, session: ReferenceClient, clock: Clock, flush: Callable[[], None], journal: Journal, peer: str
     ) -> None:
-        self._session = session
+        self.session = session
         self._clock = clock
-        self._transport = transport
-        self.listeners: list[Journal] = []
-        self._journal = journal
+        self._flush = flush
+        self.listeners: list[Journal] = [journal]
         self._peer = peer
-        self._history = StateHistory()
+        self._states: deque[State] = deque()
         self._received = 0
         self._received_ns = 0
         self.heard_at_s = 0.0
@@ -97,19 +95,19 @@ class ReferenceLink:
     def connect(self) -> None:
         """Begin to connect; does not wait for the controller."""
         self._reconnect_ns = None
-        self._session.connect(self._clock.now_ns)
-        self._transport.flush()
+        self.session.connect(self._clock.now_ns)
+        self._flush()
 
     def disconnect(self) -> None:
         """End the session, and tell the controller; the link stays closed."""
-        for event in self._session.disconnect(self._clock.now_ns):
+        for event in self.session.disconnect(self._clock.now_ns):
             self._handle(event)
         self._reconnect_ns = self._lost_reason = None
-        self._transport.flush()
+        self._flush()
 
     def receive(self, data: bytes) -> None:
         """Handle one datagram from the controller."""
-        for event in self._session.receive(data, self._clock.now_ns):
+        for event in self.session.receive(data, self._clock.now_ns):
             self._handle(event)
 
     def tick(self) -> None:
@@ -117,66 +115,41 @@ class ReferenceLink:
         now_ns = self._clock.now_ns
         if self._reconnect_ns is not None and now_ns >= self._reconnect_ns:
             self._reconnect_ns = None
-            self._session.connect(now_ns)
-        for event in self._session.tick(now_ns):
+            self.session.connect(now_ns)
+        for event in self.session.tick(now_ns):
             self._handle(event)
 
     def outgoing(self, now_ns: int) -> list[bytes]:
         """Datagrams to be sent now, in order, stamped ``now_ns``."""
-        return self._session.outgoing(now_ns)
+        return self.session.outgoing(now_ns)
 
     def next_deadline_ns(self) -> int | None:
         """When ``tick`` has something to do next; None while closed."""
-        return self._session.next_deadline_ns() or self._reconnect_ns
+        return self.session.next_deadline_ns() or self._reconnect_ns
 
     # What is known.
     @property
     def connected(self) -> bool:
         """Return True if a session is open and a state has come in it."""
-        return self._session.connected and bool(self._history)
-
-    @property
-    def clock_offset(self) -> OffsetEstimate | None:
-        """The controller's clock minus ours, with its bound."""
-        return self._session.clock
-
-    @property
-    def authenticated(self) -> bool:
-        """Return True if a session is open in which every datagram is signed."""
-        return self._session.authenticated
+        return self.session.connected and bool(self._states)
 
     @property
     def tries_valves(self) -> bool:
         """Return True if ENABLE begins a trial of the valves: the controller of this session says so."""
-        granted = self._session.welcome
+        granted = self.session.welcome
         return bool(granted and granted.capabilities & CAPABILITY_VALVE_TRIALS)
-
-    @property
-    def statistics(self) -> LinkStatistics:
-        """Counters of the session."""
-        return self._session.statistics
 
     @property
     def state(self) -> State:
         """The newest state. Raises LinkLost when there is no session."""
         if not self.connected:
             raise self.not_connected()
-        return self._history.newest
+        return self._states[-1]
 
     @property
     def state_age_ns(self) -> int:
         """Time since the newest state was received."""
         return self._clock.now_ns - self._received_ns
-
-    @property
-    def credentials(self) -> Credentials | None:
-        """Of the open session: for who speaks beside this link."""
-        return self._session.credentials
-
-    @property
-    def next_numbers(self) -> tuple[int, int]:
-        """The number of the next datagram, and the id of the next request."""
-        return self._session.next_numbers
 
     @property
     def now_ns(self) -> int:
@@ -185,11 +158,7 @@ class ReferenceLink:
 
     def local_time_ns(self, controller_ns: int) -> int:
         """A time of the controller's clock on ours."""
-        return controller_ns - (self._session.clock_offset_ns or 0)
-
-    def begin_anew(self) -> None:
-        """The machine has begun anew: where it is heard next is where it stands first."""
-        self.home = None
+        return controller_ns - (self.session.clock_offset_ns or 0)
 
     def not_connected(self) -> LinkLost:
         """The error that says why there is no session."""
@@ -212,12 +181,12 @@ class ReferenceLink:
 
         Raises LinkLost when the time is older than what is kept, falls into a gap, or no newer state comes.
         """
-        if self._session.clock_offset_ns is None:
+        if self.session.clock_offset_ns is None:
             raise LinkLost("link.no_clock", "the controller's clock is not known yet")
-        wanted_ns = local_ns + self._session.clock_offset_ns
-        while not self._history.reaches(wanted_ns):
+        wanted_ns = local_ns + self.session.clock_offset_ns
+        while not self._states or self._states[-1].time_ns < wanted_ns:
             await self.next_state()
-        return self._history.pose_at(wanted_ns)
+        return pose_at(self._states, wanted_ns)
 
     async def command(self, code: CommandCode) -> Acknowledgement:
         """The acknowledgement of a command; asking for what already is so counts as accepted.
@@ -228,7 +197,7 @@ class ReferenceLink:
 
     async def request(self, request: Request) -> Acknowledgement:
         """The acknowledgement of any request. Raises RequestRefused or LinkLost."""
-        acknowledgement = await self.ask(request)
+        acknowledgement = await self.answer(self.submit(request))
         already = isinstance(request, Command) and acknowledgement.reason is Reason.ALREADY_DONE
         if acknowledgement.reason is not Reason.ACCEPTED and not already:
             what = _words(request.code.name if isinstance(request, Command) else type(request).__name__)
@@ -246,32 +215,30 @@ class ReferenceLink:
         named = [name for name, margin in left.items() if -_SAME_RAD < margin < _MARGIN_RAD]
         return refusal(what, reason, value, limit, f"of {' or '.join(named)}" if named else "")
 
-    async def ask(self, request: Request) -> Acknowledgement:
-        """The acknowledgement of any request, also one that refuses it. Raises LinkLost."""
-        return await self.answer(self.submit(request))
-
     def submit(self, request: Request) -> int:
         """Send a request. Return the id under which ``answer`` finds its acknowledgement.
 
         Raises LinkLost, or RequestRefused when this controller does not take such a request.
         """
         try:
-            command_id = self._session.submit(request, self._clock.now_ns)
+            command_id = self.session.submit(request, self._clock.now_ns)
         except LinkLost as error:
             raise self.not_connected() from error
         self._answers[command_id] = None
         self._tell(Submitted(command_id, request))
-        self._transport.flush()
+        self._flush()
         return command_id
 
     def take_over(self, request: Request, next_sequence: int) -> None:
         """Have a request answered that was sent beside this link, in its session; numbers go on behind it."""
-        self._session.take_over(request, next_sequence, self._clock.now_ns)
+        self.session.take_over(request, next_sequence, self._clock.now_ns)
         self._tell(Submitted(request.command_id, request))
-        self._transport.flush()
+        self._flush()
 
     async def answer(self, command_id: int) -> Acknowledgement:
-        """The acknowledgement of a submitted request. Raises LinkLost when none comes in time."""
+        """The acknowledgement of a submitted request, also one that refuses it. Raises LinkLost when none
+        comes in time.
+        """
         within_s = self._patience_s(_ACKNOWLEDGEMENT_S)
         try:
             await self._clock.until(lambda: self._answers[command_id] is not None, within_s)
@@ -286,11 +253,11 @@ class ReferenceLink:
     def stream(self, reference: StreamedPose) -> None:
         """Send a streamed reference, once. Raises LinkLost, RequestRefused when it cannot be encoded."""
         try:
-            self._session.stream(reference, self._clock.now_ns)
+            self.session.stream(reference, self._clock.now_ns)
         except LinkLost as error:
             raise self.not_connected() from error
         self._tell(Streamed(reference))
-        self._transport.flush()
+        self._flush()
 
     def refusal_of(self, stream_id: int) -> StreamRefused | None:
         """The first refusal of a reference of this stream."""
@@ -299,12 +266,12 @@ class ReferenceLink:
 
     def _patience_s(self, least_s: float) -> float:
         """``least_s``, or longer where the controller allows longer silences: it ends the session then."""
-        welcome = self._session.welcome
+        welcome = self.session.welcome
         return least_s if welcome is None else max(least_s, 1e-3 * welcome.link_timeout_ms)
 
     def _handle(self, event: ClientEvent) -> None:
         if isinstance(event, StateReceived):
-            self._history.add(event.state)
+            keep(self._states, event.state)
             if self.home is None:
                 self.home = from_pose(event.state.X_BT)
             self._received += 1
@@ -325,13 +292,13 @@ class ReferenceLink:
         self._clock.wake()
 
     def _tell(self, event: Submitted | Streamed | ClientEvent) -> None:
-        for journal in (self._journal, *self.listeners):
-            journal(event)
+        for listener in self.listeners:
+            listener(event)
 
     def _session_lost(self, event: SessionLost) -> None:
         self._lost_reason = event.reason
         self._losses += 1
-        self._history.clear()
+        self._states.clear()
         self._reconnect_ns = self._clock.now_ns + _RECONNECT_NS
         for command_id, answer in self._answers.items():
             self._answers[command_id] = self.not_connected() if answer is None else answer

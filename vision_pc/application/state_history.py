@@ -10,46 +10,26 @@ _KEPT_NS = 30_000_000_000
 _GAP_NS = 300_000_000  # states further apart than this are not interpolated between
 
 
-class StateHistory:
-    """States of one session in order, those of the last 30 s. All times are on the controller's clock."""
+def keep(states: deque[State], state: State) -> None:
+    """Append the newest state to those of a session, in order, of which the last 30 s are kept."""
+    states.append(state)
+    while state.time_ns - states[0].time_ns > _KEPT_NS:
+        states.popleft()
 
-    def __init__(self) -> None:
-        self._states: deque[State] = deque()
 
-    def __bool__(self) -> bool:
-        return bool(self._states)
+def pose_at(states: deque[State], time_ns: int) -> Array:
+    """X_BT (4, 4) at ``time_ns`` of the controller's clock, which the newest state reaches, interpolated
+    between its neighbours.
 
-    def add(self, state: State) -> None:
-        """Append the newest state."""
-        self._states.append(state)
-        while state.time_ns - self._states[0].time_ns > _KEPT_NS:
-            self._states.popleft()
-
-    def clear(self) -> None:
-        """Forget every state: the session has ended."""
-        self._states.clear()
-
-    @property
-    def newest(self) -> State:
-        """The newest state; there must be one."""
-        return self._states[-1]
-
-    def reaches(self, time_ns: int) -> bool:
-        """Return True if there is a state of ``time_ns`` or later."""
-        return bool(self._states) and self._states[-1].time_ns >= time_ns
-
-    def pose_at(self, time_ns: int) -> Array:
-        """X_BT (4, 4) at ``time_ns``, which the history reaches, interpolated between its neighbours.
-
-        Raises LinkLost: ``link.state_too_old`` before the first state, ``link.state_gap`` between two states
-        that are more than 300 ms apart.
-        """
-        newer = self._states[-1]
-        for older in reversed(self._states):
-            if older.time_ns <= time_ns:
-                return _between(older, newer, time_ns)
-            newer = older
-        raise LinkLost("link.state_too_old", "the pose asked for is older than the states that are kept")
+    Raises LinkLost: ``link.state_too_old`` before the first state, ``link.state_gap`` between two states
+    that are more than 300 ms apart.
+    """
+    newer = states[-1]
+    for older in reversed(states):
+        if older.time_ns <= time_ns:
+            return _between(older, newer, time_ns)
+        newer = older
+    raise LinkLost("link.state_too_old", "the pose asked for is older than the states that are kept")
 
 
 def _between(older: State, newer: State, time_ns: int) -> Array:

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import ApproachBody, LookThenMoveSettings
+from vision_pc.application.bodies import LookThenMoveSettings, body_of
 from vision_pc.application.program import MOVING, Program
 from vision_pc.application.results import JSON, positioning_json
 from vision_pc.config.programs import LocalErrorModelSettings
@@ -20,7 +20,9 @@ Id = Annotated[str, Field(max_length=20)]
 class VisitSettings(LookThenMoveSettings):
     """The targets in their order (none: all), and how each is driven to."""
 
-    targets: tuple[Id, ...] = ()
+    targets: Annotated[tuple[Id, ...], Field(min_length=1, max_length=100)] | None = Field(
+        None, examples=[["t1", "t2"]], description="Left out: all, oldest first"
+    )
 
 
 class Visited(NamedTuple):
@@ -117,24 +119,12 @@ def visit_json(visited: tuple[Visited, ...]) -> JSON:
     }
 
 
-class VisitBody(ApproachBody):
-    """Targets of `/targets` in their order, by the corrected look-then-move."""
-
-    targets: tuple[Id, ...] | None = Field(
-        None,
-        min_length=1,
-        max_length=100,
-        examples=[["t1", "t2"]],
-        description="Left out: all, oldest first",
-    )
-
-
 VISIT = Program(
     "visit",
     "Drive to a row of targets, one after the other",
     run=visit,
     to_json=visit_json,
-    body=VisitBody,
+    body=body_of(VisitSettings, "clearance_m", "tolerance_mm", "corrections", "targets"),
     settings=lambda application: VisitSettings(**application.settings.positioning.model_dump()),
     needs=(*MOVING, known_targets),
     core=look_then_move_corrected,

@@ -40,12 +40,12 @@ class GuidedSettings(StrictModel):
     tool hides, ``clearance_m`` the tool off the marker's plane.
     """
 
-    marker_id: int = Field(582, ge=0, le=1023)
-    marker_size_m: float = Field(0.05, gt=0.005, le=2.0)
+    marker_id: int = Field(582, ge=0, le=1023, examples=[582])
+    marker_size_m: float = Field(0.05, gt=0.005, le=2.0, examples=[0.05])
     dictionary: Literal[
         "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL"
     ] = "DICT_5X5_1000"
-    poses: int = Field(17, ge=5, le=100)
+    poses: int = Field(17, ge=5, le=100, examples=[17])
     frames: int = Field(5, ge=1, le=100)
     minimum_frames: int = Field(3, ge=1, le=100)
     mount_position_m: Vector3 = (-0.20, -0.05, -0.40)

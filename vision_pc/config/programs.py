@@ -28,31 +28,26 @@ Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
 
 OrientationForm = Literal["frame_true", "paper"]
 """The turn of (7)(8) taken at the marker: right for any camera mount; or as printed."""
-CircleMinimum = Literal["sample", "fit"]
-"""The least sample as printed, or a fit through all of them."""
-PathPlacement = Literal["ends_here", "starts_here"]
-"""Where the arm stands on the path: at its end, so that the object is in view again, or at its start."""
-MatchedTraces = Literal["points", "paper"]
-"""The marker's positions, the lever arm removed, or the camera's poses as in the paper."""
-Association = Literal["time", "none"]
-"""Whether the samples of both traces belong together by their time."""
 
 
 class OrientationSettings(StrictModel):
     """Orientation adjustment (7)(8)."""
 
-    form: OrientationForm
-    repetitions: int = Field(ge=1, le=5)
+    form: OrientationForm = Field(examples=["frame_true"])
+    repetitions: int = Field(ge=1, le=5, examples=[1])
     limit_deg: float = Field(gt=0.0, le=90.0)
 
 
 class LineEquationSettings(StrictModel):
-    """Line equation (10)-(16)."""
+    """Line equation (10)-(16).
 
-    radius_m: float = Field(ge=0.02, le=0.6)
-    points: int = Field(ge=6, le=24)
+    ``minimum``: the least sample as printed, or a fit through all of them.
+    """
+
+    radius_m: float = Field(ge=0.02, le=0.6, examples=[0.2])
+    points: int = Field(ge=6, le=24, examples=[18])
     segment_s: Seconds
-    minimum: CircleMinimum
+    minimum: Literal["sample", "fit"]
     seen_share: float = Field(gt=0.0, le=1.0)
     step_limit_m: float = Field(gt=0.0, le=5.0)
 
@@ -60,17 +55,20 @@ class LineEquationSettings(StrictModel):
 class TrajectorySettings(StrictModel):
     """Trajectory matching (17)-(19) and the match.
 
-    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4.
+    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4. ``placement``:
+    where the arm stands on the path: at its end, so that the object is in view again, or at its start.
+    ``method``: the marker's positions, the lever arm removed, or the camera's poses as in the paper.
+    ``association``: whether the samples of both traces belong together by their time.
     """
 
-    segments_m: tuple[Length, ...] = Field(min_length=2, max_length=23)
+    segments_m: tuple[Length, ...] = Field(min_length=2, max_length=23, examples=[[0.30, 0.10, 0.05, 0.30]])
     turn_deg: float = Field(ge=5.0, le=175.0)
     heading_deg: float = Field(ge=-180.0, le=180.0)
-    placement: PathPlacement
+    placement: Literal["ends_here", "starts_here"]
     segment_s: Seconds
     dwell_s: Seconds
-    method: MatchedTraces
-    association: Association
+    method: Literal["points", "paper"]
+    association: Literal["time", "none"]
     minimum_samples: int = Field(ge=8, le=10_000)
     condition_limit: float = Field(ge=1.0)
 
@@ -99,7 +97,7 @@ class LocalErrorModelSettings(StrictModel):
     end of a leg, of a motion that nothing corrects.
     """
 
-    leg_m: float = Field(ge=0.05, le=0.5)
+    leg_m: float = Field(ge=0.05, le=0.5, examples=[0.2])
     segment_s: Seconds
     dwell_s: Seconds
     rotation_std: float = Field(gt=0.0, le=1.0)
@@ -128,16 +126,22 @@ class PositioningSettings(StrictModel):
     the principal point's error over the focal length; 0: it is there.
     """
 
-    clearance_m: float = Field(ge=0.0, le=1.0)
-    tolerance_m: float = Field(gt=0.0, le=0.1)
-    aim_m: float = Field(ge=0.0, le=0.1)
+    clearance_m: float = Field(ge=0.0, le=1.0, examples=[0.1])
+    tolerance_m: float = Field(gt=0.0, le=0.1, examples=[0.005])
+    aim_m: float = Field(ge=0.0, le=0.1, description="No input below this; 0: always one")
     depth_aim_m: float = Field(ge=0.0, le=0.5)
-    inputs: int = Field(ge=1, le=10)
+    inputs: int = Field(
+        ge=1,
+        le=10,
+        description="Of `paper`: looks and steps; `corrected` is one look, ask again for another",
+    )
     step_limit_m: float = Field(gt=0.0, le=5.0)
     duration_s: Seconds
     strain_std: float = Field(ge=0.0, le=0.2)
     servo_std_m: float = Field(ge=0.0, le=0.05)
-    corrections: int = Field(ge=0, le=10)
+    corrections: int = Field(
+        ge=0, le=10, description="Of `corrected`: motions by odometry alone; 0: one shot"
+    )
     outside: int = Field(ge=0, le=10)
     nudge_m: float = Field(gt=0.0, le=0.1)
     axis_std_rad: float = Field(ge=0.0, le=0.1)
@@ -153,12 +157,12 @@ class VisualServoingSettings(StrictModel):
     rest outside, an end is good that is within ``wanted_m`` in 19 of 20 cases.
     """
 
-    gain: float = Field(gt=0.0, le=1.0)
+    gain: float = Field(gt=0.0, le=1.0, examples=[0.5])
     pull_gain: float = Field(ge=0.0, le=1.0)
     step_m: float = Field(gt=0.0, le=0.5)
     near_m: float = Field(ge=0.0, le=0.2)
     lead_m: float = Field(gt=0.0, le=0.4)
-    settle_m: float = Field(gt=0.0, le=0.05)
+    settle_m: float = Field(gt=0.0, le=0.05, examples=[0.001])
     wanted_m: float = Field(ge=0.0, le=0.05)
     servo_gap_m: float = Field(gt=0.0, le=0.1)
     settle_pictures: int = Field(ge=4, le=200)

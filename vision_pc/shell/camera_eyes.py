@@ -1,7 +1,7 @@
 """The service's eyes put together: a camera, a thread to compute in, and the record of what was seen."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
@@ -10,7 +10,7 @@ from foundation.event_log import EventLog
 from foundation.periods import take_policy
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.camera_feed import CameraFeed
-from vision_pc.application.ports import Clock, Runtime
+from vision_pc.application.ports import Runtime
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import StereoPair
@@ -76,35 +76,15 @@ class BatchWorker:
 class TaskBackground:
     """Implements ``vision_pc.application.ports.Background`` with tasks."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-
-    def start(self, program: Coroutine[Any, Any, None]) -> "TaskWork":
-        """Start ``program`` as a task."""
+    def start(self, program: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
+        """Start ``program`` as a task. Return what cancels it and waits for its end."""
         task = asyncio.create_task(program)
-        task.add_done_callback(lambda _: self._clock.wake())
-        return TaskWork(task)
 
+        async def cancel() -> None:
+            task.cancel()
+            await asyncio.wait([task])
 
-class TaskWork:
-    """Implements ``vision_pc.application.ports.BackgroundWork`` over a task."""
-
-    def __init__(self, task: "asyncio.Task[None]") -> None:
-        self._task = task
-
-    @property
-    def ended(self) -> bool:
-        """Return True if the task is done."""
-        return self._task.done()
-
-    async def join(self) -> None:
-        """Wait for the end. Raises what the program raised."""
-        await self._task
-
-    async def cancel(self) -> None:
-        """Cancel the task and wait for its end."""
-        self._task.cancel()
-        await asyncio.wait([self._task])
+        return cancel
 
 
 class OpenedEyes(NamedTuple):
@@ -127,6 +107,6 @@ def open_eyes(
     """Eyes on ``camera`` within the running event loop. Raises ConfigurationError for a feed's taken port."""
     feed = UdpPoseFeed(config.odometry_feed, log) if config.odometry_feed.source == "udp" else None
     time, worker = ProcessClock(), BatchWorker()
-    runtime = Runtime(time, worker, TaskBackground(time))
+    runtime = Runtime(time, worker, TaskBackground())
     eyes = CameraEyes(camera, states, config, runtime, log, feed)
     return OpenedEyes(eyes, worker, feed)

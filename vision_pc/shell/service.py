@@ -228,7 +228,7 @@ class VisionService:
         return {
             "time_ns": clock.now_ns(),
             "memory_mb": resident_mb(),
-            "link": asdict(self._link.statistics),
+            "link": asdict(self._link.session.statistics),
             "camera": self._opened.eyes.status()._asdict(),
             "scheduling": self._opened.worker.scheduling,
             "rest_refused": dict(self._refusals.counts),
@@ -240,7 +240,7 @@ class VisionService:
 def _at_work(application: VisionApplication, operations: Operations) -> bool:
     """Whether an operation runs, or controller, plant or camera are still to be there."""
     link = application.controller
-    there = link.connected and link.clock_offset is not None and application.camera.status().connected
+    there = link.connected and link.session.clock is not None and application.camera.status().connected
     return operations.current is not None or not there
 
 

@@ -4,18 +4,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from foundation.configuration import StrictModel
 from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from tests.vision_pc.program_settings import BOOM, shipped
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import RequestBody
+from vision_pc.application.bodies import body_of
 from vision_pc.application.ports import CameraStatus
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.config.hand_eye import GuidedSettings
 
 BY_NAME = {program.name: program for program in PROGRAMS}
 
@@ -27,11 +26,7 @@ class Settings(StrictModel):
     turns: int = Field(3, ge=1, le=9)
 
 
-class Body(RequestBody):
-    """Of that program."""
-
-    near_mm: float | None = Field(None, gt=1.0, le=50.0)
-    turns: int | None = Field(None, ge=1, le=9)
+Body: Any = body_of(Settings, "near_mm", "turns")
 
 
 def application(state: GroupState = GroupState.STANDBY, *, camera: bool = True, log: bool = True) -> Any:
@@ -58,26 +53,13 @@ def test_a_body_lays_what_is_given_over_the_settings_in_their_unit() -> None:
     assert row.requested(application(), Body(turns=4)) == Settings(turns=4)
 
 
-@pytest.mark.parametrize("given", [{"near_m": 0.01}, {"turns": 1.5}, {"turns": "3"}])
-def test_a_body_is_as_strict_as_the_configuration(given: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "given",
+    [{"near_m": 0.01}, {"near_mm": 1.0}, {"near_mm": 50.1}, {"turns": 10}, {"turns": 1.5}, {"turns": "3"}],
+)
+def test_a_body_is_as_strict_as_the_settings_and_within_their_limits(given: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         Body(**given)
-
-
-def _bounds(model: type[BaseModel], name: str) -> dict[str, float]:
-    """The numeric limits of a field by its JSON schema."""
-    field = model.model_json_schema()["properties"][name]
-    return {key: v for key, v in field.get("anyOf", [field])[0].items() if key.endswith("imum")}
-
-
-@pytest.mark.parametrize("program", [one for one in PROGRAMS if one.settings], ids=lambda one: one.name)
-def test_a_body_is_neither_looser_nor_tighter_than_the_settings(program: Program[Any, Any]) -> None:
-    guided = SimpleNamespace(defaults=GuidedSettings())
-    settings = type(program.settings(SimpleNamespace(settings=shipped(), guided=guided)))  # type: ignore
-    for name in program.body.model_fields.keys() - {"name", "seed"}:
-        scale, field = (1e-3, name[:-2] + "m") if name.endswith("_mm") else (1.0, name)
-        scaled = {key: pytest.approx(scale * v) for key, v in _bounds(program.body, name).items()}
-        assert scaled == _bounds(settings, field), name
 
 
 def test_what_is_in_range_alone_may_be_refused_together() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from protocol.faults import GroupState
+from protocol.faults import FaultCode, GroupState
 from testbed.hand_eye import session_text
 from testbed.hand_eye.importer import load
 from tests.vision_pc.hand_eye.still_rig import StillRig, quiet, still_settings
@@ -244,7 +244,7 @@ class _Camera:
 async def test_the_session_over_rest(tmp_path: Path) -> None:
     rig = quick_rig(tmp_path)
     operations = Operations(rig.halt, rig.log)
-    standing = SimpleNamespace(group_state=GroupState.STANDBY, flags=0)
+    standing = SimpleNamespace(group_state=GroupState.STANDBY, flags=0, fault=FaultCode.NONE)
     controller: Any = SimpleNamespace(state=standing, connected=True)
     programs = rig.settings.vision.programs
     eyes: Any = rig
@@ -259,7 +259,7 @@ async def test_the_session_over_rest(tmp_path: Path) -> None:
             answer = await client.post(f"/operations/hand-eye-{kind}", json=body)
             assert answer.status_code == 202, answer.text
             operation = operations.get(answer.json()["id"])
-            await operation.end.wait()
+            await operation.wait()
             return (await client.get(f"/operations/{operation.id}")).json()
 
         assert (await client.get("/hand-eye/session")).json()["cause"] == "refused.hand_eye.no_session"

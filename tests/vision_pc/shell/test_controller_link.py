@@ -52,7 +52,7 @@ async def link(controller: LoopbackController) -> AsyncIterator[ReferenceLink]:
     )
     link = endpoint.link
     await endpoint.start()
-    await until(lambda: link.connected and link.clock_offset is not None)
+    await until(lambda: link.connected and link.session.clock is not None)
     yield link
     await endpoint.close()
 
@@ -65,8 +65,8 @@ def arm(link: ReferenceLink) -> LinkArm:
 async def test_the_clock_offset_is_the_controllers(
     link: ReferenceLink, controller: LoopbackController
 ) -> None:
-    await until(lambda: link.clock_offset is not None)
-    clock = link.clock_offset
+    await until(lambda: link.session.clock is not None)
+    clock = link.session.clock
     assert clock is not None
     assert abs(clock.offset_ns - controller.clock_ahead_ns) <= clock.uncertainty_ns < 1_000_000_000
 

@@ -12,16 +12,17 @@ from protocol.reference_messages import FLAG_PLANT_LINK_OK, State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.alarms import CRASHED, HIGH, URGENT, AlarmList, Condition, alarm_json
 from vision_pc.application.console.overlay import overlay
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.results import JSON, calibration_json, look_json, pose_json
 
 _ALARMS_SHOWN = 20
 _ANEW = "the machine was started anew: local calibration and targets are void"
 
 
-def session_state(application: VisionApplication) -> tuple[State | None, LinkLost | None]:
+def session_state(link: ReferenceLink) -> tuple[State | None, LinkLost | None]:
     """The controller's newest state, or why there is none."""
     try:
-        return application.controller.state, None
+        return link.state, None
     except LinkLost as error:
         return None, error
 
@@ -82,16 +83,16 @@ class Overview:
             whole = calibration_json(rig.calibration)
             calibration = {name: whole[name] for name in ("method", "rotation_std_deg", "R_BC", "samples")}
         link, view, judged_by = rig.controller, rig.camera.seen(), rig.positioning
-        (state, trouble), clock = session_state(rig), link.clock_offset
+        (state, trouble), clock = session_state(rig.controller), link.session.clock
         clearance_m, tolerance_m = judged_by.clearance_m, judged_by.tolerance_m
         return {
             "link": {
                 "age_ms": None if state is None else link.state_age_ns / 1e6,
                 "round_trip_us": None if clock is None else clock.round_trip_ns / 1e3,
                 "trouble": None if trouble is None else (trouble.cause, str(trouble)),
-                "authenticated": link.authenticated,
+                "authenticated": link.session.authenticated,
                 "tries_valves": link.tries_valves,
-                "lost": link.statistics.lost,
+                "lost": link.session.statistics.lost,
             },
             "camera": rig.camera.status()._asdict(),
             "recording": rig.log.healthy,
@@ -117,7 +118,7 @@ def conditions(rig: VisionApplication) -> dict[str, Condition]:
     found: dict[str, Condition] = {}
     if crashed := lasting(rig):
         found[CRASHED] = Condition(URGENT, "; ".join(one.detail for one in crashed), crashed[-1].at_s)
-    (state, trouble), camera, doubt = session_state(rig), rig.camera.status(), rig.doubts.doubt
+    (state, trouble), camera, doubt = session_state(rig.controller), rig.camera.status(), rig.doubts.doubt
     if trouble is not None:
         found[trouble.cause] = Condition(URGENT, str(trouble))
     if state is not None and (

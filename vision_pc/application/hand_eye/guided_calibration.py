@@ -32,7 +32,6 @@ from vision_pc.core.hand_eye.guided.target import TargetLook, look_at_target, ta
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.ports import ArmView, Report
-from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation
 
 _PATIENCE = 60  # refused proposals in a row before ``next_pose`` gives up
@@ -48,9 +47,8 @@ _IMPOSSIBLE = {
 """Causes of a pose that is not to be tried again: it was refused for its path, or that ended in a fault."""
 
 
-def _ended_in_fault(error: RequestRefused) -> bool:
-    """Whether the arm has come to rest by a fault, and moves again only after RESET and ENABLE."""
-    return error.cause.startswith("refused.fault_")
+_FAULT = "refused.fault_"
+"""How causes begin by which the arm has come to rest, and moves again only after RESET and ENABLE."""
 
 
 class GuidedCalibration:
@@ -158,12 +156,14 @@ class GuidedCalibration:
             proposal = await self._proposal(informative)
             report(0.1, "moving")
             try:
-                return proposal_json(proposal) | await self._arrival(proposal.X_BT)
+                return proposal_json(proposal) | arrival_json(
+                    await self._arm.move_to(proposal.X_BT), proposal.X_BT
+                )
             except RequestRefused as error:
                 if error.cause not in _IMPOSSIBLE:
                     raise
                 self._open(replace(self.session, refused=(*self.session.refused, proposal.X_BT)))
-                if count == _PATIENCE or _ended_in_fault(error):
+                if count == _PATIENCE or error.cause.startswith(_FAULT):
                     raise
             if count % _STUCK == 0:
                 await self.back(report)
@@ -180,9 +180,6 @@ class GuidedCalibration:
         self._open(replace(now, proposed=now.proposed + 1))
         return proposal
 
-    async def _arrival(self, X_BT: Array) -> JSON:
-        return arrival_json(await self._arm.move_to(X_BT), X_BT)
-
     async def back(self, report: Report) -> JSON:
         """Drives to the session's starting pose: straight there, or over its samples, the newest first.
 
@@ -196,9 +193,9 @@ class GuidedCalibration:
             try:
                 if sample is not None:
                     await self._arm.move_to(sample.X_BT)
-                return await self._arrival(start)
+                return arrival_json(await self._arm.move_to(start), start)
             except RequestRefused as error:
-                if error.cause not in _IMPOSSIBLE or _ended_in_fault(error):
+                if error.cause not in _IMPOSSIBLE or error.cause.startswith(_FAULT):
                     raise
                 refusal = error
         raise refusal

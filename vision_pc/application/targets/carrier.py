@@ -114,7 +114,7 @@ class TargetCarrier:
         Raises RequestRefused (``refused.target_lost``) where nobody knows that.
         """
         if self._targets.aimed is None:
-            yield _forgotten
+            yield forgotten
             return
         self._targets.refuse_lost(self.X_BT)
         self._sensor.resting, self._sensor.measured = True, 0
@@ -127,7 +127,7 @@ class TargetCarrier:
     def watching(self) -> Iterator[Callable[[tuple[WatchSample, ...]], None]]:
         """A watch: targets are carried by its last odometry; a watch that fails loses them."""
         if not self._targets.list():
-            yield _forgotten
+            yield forgotten
             return
         X_BT, ends = self.X_BT, list[Array | None]()
         self._watching = True
@@ -142,5 +142,5 @@ class TargetCarrier:
         self._targets.looked(look.X_CO, look.cov_CO, look.X_BT, measured)
 
 
-def _forgotten(_seen: Look | tuple[WatchSample, ...]) -> None:
+def forgotten(_seen: Look | tuple[WatchSample, ...]) -> None:
     """Nobody wants to know."""

@@ -158,7 +158,7 @@ class UdpEndpoint(asyncio.DatagramProtocol):
             secrets.randbits(64), arm_hash, settings.state_period_ms, key=read_key(settings.link_key)
         )
         peer = f"controller at {settings.host}:{settings.port}"
-        self.link = ReferenceLink(session, clock, self, LinkJournal(log, clock), peer)
+        self.link = ReferenceLink(session, clock, self.flush, LinkJournal(log, clock), peer)
 
     async def start(self) -> None:
         """Open the socket and begin to connect; does not wait for the controller.
@@ -218,13 +218,13 @@ class UdpEndpoint(asyncio.DatagramProtocol):
     async def _keep_finding(self) -> None:
         while True:
             await asyncio.sleep(_TRIED_S)
-            if self.link.credentials is not None:
+            if self.link.session.credentials is not None:
                 continue
             with contextlib.suppress(LinkLost):
                 addresses = await self._addresses()
                 at = addresses.index(self._address) + 1 if self._address in addresses else 0
                 following = addresses[at % len(addresses)]
-                unheard = self.link.credentials is None
+                unheard = self.link.session.credentials is None
                 if unheard and (following != self._address or self._transport is None):
                     await self._open(following)
 

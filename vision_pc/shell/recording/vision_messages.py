@@ -3,7 +3,7 @@
 import json
 import zlib
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,57 +15,6 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraErrors, FrameObservation, Look, OdometryPose, StereoPair
 
 _AXES = ("x", "y", "z")
-
-
-class NumberedObservation(NamedTuple):
-    """An observation under its number; ``previous`` is the number of the one that it went on from, None
-    without one, and ``corrected`` whether camera errors had been put into that since.
-    """
-
-    number: int
-    previous: int | None
-    corrected: bool
-    observation: FrameObservation
-
-
-class OdometryStart(NamedTuple):
-    """Odometry number ``odometry`` begins, after observation ``previous`` as in ``NumberedObservation``."""
-
-    odometry: int
-    previous: int | None
-    corrected: bool
-    capture_ns: int
-
-
-class GivenWithFrame(NamedTuple):
-    """What odometry is told beside a frame: whether where the tool marker is, and the arm's state X_BT."""
-
-    tool_given: bool
-    X_BT: Array | None
-
-
-class TrackedFrame(NamedTuple):
-    """What odometry ``found`` in a frame, or why it lost it."""
-
-    odometry: int
-    capture_ns: int
-    frame_id: int
-    given: GivenWithFrame
-    found: OdometryPose | str
-
-
-class Fitted(NamedTuple):
-    """The camera's errors as found from the samples of these captures; None where they told too little."""
-
-    captures_ns: tuple[int, ...]
-    errors: CameraErrors | None
-
-
-class CombinedLook(NamedTuple):
-    """A look and the numbers of the observations that it is made of; -1 for one that is not known."""
-
-    look: Look
-    observations: tuple[int, ...]
 
 
 def _place(name: str) -> list[MessageField]:
@@ -176,19 +125,22 @@ def checksum(pixels: Any) -> int:
     return zlib.crc32(np.ascontiguousarray(pixels).data)
 
 
-def observation_bytes(made: NumberedObservation) -> bytes:
-    """longreach.Observation; ``digest`` is of everything that was measured, also what has no field."""
-    seen = made.observation
+def observation_bytes(number: int, previous: int | None, corrected: bool, seen: FrameObservation) -> bytes:
+    """longreach.Observation ``number``; ``digest`` is of everything measured, also what has no field.
+
+    ``previous``: the number of the one that it went on from, None without one, -1 for one that is not known;
+    ``corrected``: whether camera errors had been put into that since.
+    """
     markers = seen.markers
     nowhere = np.full((4, 2), np.nan)
     rights = [nowhere if marker.corners_right is None else marker.corners_right for marker in markers]
     return _filled(
         ObservationMessage,
-        number=made.number,
+        number=number,
         frame_id=seen.frame_id,
         capture_ns=seen.capture_ns,
-        previous=made.previous,
-        corrected=made.corrected,
+        previous=previous,
+        corrected=corrected,
         digest=digest(seen),
         **_position_fields("CM", seen.X_CM),
         **_position_fields("CO", seen.X_CO),
@@ -205,16 +157,22 @@ def observation_bytes(made: NumberedObservation) -> bytes:
     )
 
 
-def start_bytes(made: OdometryStart) -> bytes:
-    """longreach.OdometryStart."""
-    return _filled(OdometryStartMessage, **made._asdict())
+def start_bytes(odometry: int, previous: int | None, corrected: bool, capture_ns: int) -> bytes:
+    """longreach.OdometryStart: number ``odometry`` begins after observation ``previous``, which is as in
+    ``observation_bytes``.
+    """
+    start = {"odometry": odometry, "previous": previous, "corrected": corrected, "capture_ns": capture_ns}
+    return _filled(OdometryStartMessage, **start)
 
 
-def tracked_bytes(made: TrackedFrame) -> bytes:
-    """longreach.Odometry: the pose, or why it is lost."""
-    stamp = {name: getattr(made, name) for name in ("odometry", "frame_id", "capture_ns")}
-    stamp |= made.given._asdict()
-    pose = made.found
+def tracked_bytes(
+    odometry: int, frame: tuple[int, int], tool_given: bool, X_BT: Array | None, pose: OdometryPose | str
+) -> bytes:
+    """longreach.Odometry: the pose in the ``frame`` of that id and capture time, or why it is lost; whether
+    the tool's marker was given, and the arm's state.
+    """
+    stamp: dict[str, Any] = {"odometry": odometry, "frame_id": frame[0], "capture_ns": frame[1]}
+    stamp |= {"tool_given": tool_given, "X_BT": X_BT}
     if isinstance(pose, str):
         return _filled(OdometryMessage, **stamp, digest=digest(pose), lost=pose)
     measured = ("covariance", "inliers", "coverage", "residual_px")
@@ -228,20 +186,20 @@ def tracked_bytes(made: TrackedFrame) -> bytes:
     )
 
 
-def fitted_bytes(made: Fitted) -> bytes:
-    """longreach.CameraErrors; without values where nothing was found."""
-    found = {} if made.errors is None else made.errors._asdict()
-    return _filled(CameraErrorsMessage, captures_ns=made.captures_ns, digest=digest(made.errors), **found)
+def fitted_bytes(captures_ns: Sequence[int], errors: CameraErrors | None) -> bytes:
+    """longreach.CameraErrors by the samples of these captures; without values where they told too little."""
+    found = {} if errors is None else errors._asdict()
+    return _filled(CameraErrorsMessage, captures_ns=captures_ns, digest=digest(errors), **found)
 
 
-def look_bytes(made: CombinedLook) -> bytes:
-    """longreach.Look."""
-    look, misplaced = made.look, made.look.misplaced
+def look_bytes(look: Look, observations: Sequence[int]) -> bytes:
+    """longreach.Look, and the numbers of its observations; -1 for one that is not known."""
+    misplaced = look.misplaced
     fields = {name: value for name, value in look._asdict().items() if name not in ("offset", "misplaced")}
     doubt = None if misplaced is None else zip(_MISPLACED, misplaced, strict=True)
     return _filled(
         LookMessage,
-        observations=made.observations,
+        observations=observations,
         digest=digest(look),
         **_position_fields("CM", look.X_CM),
         **_position_fields("CO", look.X_CO),

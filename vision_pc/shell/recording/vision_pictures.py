@@ -17,7 +17,6 @@ from foundation.recording.messages import PosedFrame, put_pose, put_time, transf
 from protocol.pose import Pose
 from vision_pc.core import se3
 from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoPair
-from vision_pc.shell.recording.vision_messages import NumberedObservation
 
 CAMERA_FRAMES = ("camera_left_optical", "camera_right_optical")
 SEEN_TOOL, SEEN_OBJECT = "seen/tool_marker", "seen/object"
@@ -73,17 +72,15 @@ def _calibration(camera: CameraCalibration, eye: int) -> bytes:
     return bytes(message.SerializeToString())
 
 
-def seen_frames(made: NumberedObservation) -> bytes:
+def seen_frames(seen: FrameObservation) -> bytes:
     """foxglove.FrameTransforms of tool marker and object in the left eye, as far as they were seen."""
-    seen = made.observation
     poses = ((SEEN_TOOL, seen.X_CM), (SEEN_OBJECT, seen.X_CO))
     frames = [PosedFrame(CAMERA_FRAMES[0], name, X) for name, X in poses if X is not None]
     return transforms(frames, seen.capture_ns) if frames else b""
 
 
-def annotations(made: NumberedObservation) -> bytes:
+def annotations(seen: FrameObservation) -> bytes:
     """foxglove.ImageAnnotations: each marker's outline in the left picture, and its number."""
-    seen: FrameObservation = made.observation
     message = ImageAnnotations()
     put_time(message.timestamp, seen.capture_ns)
     for marker in seen.markers:

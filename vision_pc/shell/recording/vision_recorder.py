@@ -6,7 +6,7 @@ Nothing is encoded, compressed or written before a call returns: what is put is 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration as CalibrationMessage
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -50,9 +50,9 @@ _CLOCK_NS = 1_000_000_000
 _REMEMBERED = 1001  # observations, some 8 MB: as many as a look may take, and the one before
 
 
-class _Image(NamedTuple):
-    pair: StereoPair
-    eye: int
+def _spread(encode: Callable[..., bytes]) -> Callable[[tuple[Any, ...]], bytes]:
+    """What makes a message of several things that are put together."""
+    return lambda content: encode(*content)
 
 
 def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
@@ -62,21 +62,21 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
     image = format_of(CompressedImage if settings.images == "jpeg" else RawImage)
     return (
         Topic(FRAME, format_of(own.FrameMessage), own.frame_bytes),
-        Topic(OBSERVATION, format_of(own.ObservationMessage), own.observation_bytes),
-        Topic(ODOMETRY_START, format_of(own.OdometryStartMessage), own.start_bytes),
-        Topic(ODOMETRY, format_of(own.OdometryMessage), own.tracked_bytes),
-        Topic(ERRORS, format_of(own.CameraErrorsMessage), own.fitted_bytes),
-        Topic(LOOK, format_of(own.LookMessage), own.look_bytes),
-        Topic(REFERENCE, format_of(own.ReferenceMessage), lambda content: own.reference_bytes(*content)),
+        Topic(OBSERVATION, format_of(own.ObservationMessage), _spread(own.observation_bytes)),
+        Topic(ODOMETRY_START, format_of(own.OdometryStartMessage), _spread(own.start_bytes)),
+        Topic(ODOMETRY, format_of(own.OdometryMessage), _spread(own.tracked_bytes)),
+        Topic(ERRORS, format_of(own.CameraErrorsMessage), _spread(own.fitted_bytes)),
+        Topic(LOOK, format_of(own.LookMessage), _spread(own.look_bytes)),
+        Topic(REFERENCE, format_of(own.ReferenceMessage), _spread(own.reference_bytes)),
         Topic(CLOCK, format_of(own.ClockMessage), own.clock_bytes),
         Topic(EVENT, format_of(EventMessage), event_bytes),
-        Topic(LOG, format_of(LogMessage), lambda line: log_line(*line)),
+        Topic(LOG, format_of(LogMessage), _spread(log_line)),
         Topic(FRAMES, format_of(FrameTransforms), pictures.seen_frames),
         Topic(TRACK, format_of(PoseInFrame), pictures.track_pose),
-        Topic(PATH, format_of(PosesInFrame), lambda content: pictures.path(*content)),
+        Topic(PATH, format_of(PosesInFrame), _spread(pictures.path)),
         Topic(ANNOTATIONS, format_of(ImageAnnotations), pictures.annotations),
         *(Topic(name, format_of(CalibrationMessage), bytes, once=True) for name in CALIBRATIONS),
-        *(Topic(name, image, lambda taken: shown(*taken)) for name in IMAGES[:eyes]),
+        *(Topic(name, image, _spread(shown)) for name in IMAGES[:eyes]),
     )
 
 
@@ -124,8 +124,8 @@ class RecordedOdometry:
     ) -> OdometryPose | None:
         """What the odometry makes of the frame."""
         found = self._odometry.process(frame, X_CM, X_BT)
-        given = own.GivenWithFrame(X_CM is not None, X_BT)
-        self._record.tracked(self._number, frame, given, found or self._odometry.last_loss or "lost")
+        outcome = found or self._odometry.last_loss or "lost"
+        self._record.tracked(self._number, frame, X_CM is not None, X_BT, outcome)
         return found
 
 
@@ -173,42 +173,45 @@ class VisionRecorder(ServiceRecorder):
         number, corrected = self._number_of(previous)
         self._observed += 1
         self._observations.append((self._observed, found))
-        made = own.NumberedObservation(self._observed, number, corrected, found)
-        for topic in (OBSERVATION, FRAMES, ANNOTATIONS):
-            self._put(topic, made, pair.capture_ns)
+        self._put(OBSERVATION, (self._observed, number, corrected, found), pair.capture_ns)
+        for topic in (FRAMES, ANNOTATIONS):
+            self._put(topic, found, pair.capture_ns)
 
     def odometry_begun(self, previous: FrameObservation | None) -> int:
         """Record that odometry begins. Return its number."""
         self._odometries += 1
-        number, corrected = self._number_of(previous)
         capture_ns = 0 if previous is None else previous.capture_ns
-        self._put(
-            ODOMETRY_START, own.OdometryStart(self._odometries, number, corrected, capture_ns), capture_ns
-        )
+        start = self._odometries, *self._number_of(previous), capture_ns
+        self._put(ODOMETRY_START, start, capture_ns)
         return self._odometries
 
     def tracked(
-        self, odometry: int, pair: StereoPair, given: own.GivenWithFrame, found: OdometryPose | str
+        self,
+        odometry: int,
+        pair: StereoPair,
+        tool_given: bool,
+        X_BT: Array | None,
+        found: OdometryPose | str,
     ) -> None:
         """Record where odometry finds the camera, or why it does not."""
         self._keep_frame(pair)
-        made = own.TrackedFrame(odometry, pair.capture_ns, pair.frame_id, given, found)
-        self._put(ODOMETRY, made, pair.capture_ns)
+        frame = pair.frame_id, pair.capture_ns
+        self._put(ODOMETRY, (odometry, frame, tool_given, X_BT, found), pair.capture_ns)
         if isinstance(found, OdometryPose):
             self._put(TRACK, found, pair.capture_ns)
 
     def fitted(self, samples: Sequence[WatchSample], found: CameraErrors | None) -> None:
         """Record the camera's errors as found from samples."""
         captures = tuple(sample.time_ns for sample in samples)
-        self._put(ERRORS, own.Fitted(captures, found), captures[-1] if captures else 0)
+        self._put(ERRORS, (captures, found), captures[-1] if captures else 0)
 
     def looked(self, look: Look, observations: Sequence[FrameObservation]) -> None:
         """Record a look."""
         numbers = tuple(self._number_of(each)[0] for each in observations)
-        made = own.CombinedLook(look, tuple(-1 if number is None else number for number in numbers))
-        self._put(LOOK, made, look.time_ns, wanted=True)
+        known = tuple(-1 if number is None else number for number in numbers)
+        self._put(LOOK, (look, known), look.time_ns, wanted=True)
 
-    # GivenWithFrame by the link and by the log.
+    # Told by the link and by the log.
     def listen_to(self, link: ReferenceLink) -> None:
         """Record the references that go out over ``link``, and how the clocks stand."""
         self._link = link
@@ -221,7 +224,7 @@ class VisionRecorder(ServiceRecorder):
             case Streamed():
                 self._reference(event.reference.number, event.reference)
             case StateReceived() if self._link is not None:
-                self._clock(self._link.clock_offset)
+                self._clock(self._link.session.clock)
 
     def event(self, name: str, level: Level, fields: Mapping[str, Any]) -> None:
         """Record an event of the log, for programs and for people."""
@@ -276,7 +279,7 @@ class VisionRecorder(ServiceRecorder):
         if self._picture_due(pair.capture_ns):
             for eye, topic in enumerate(IMAGES):
                 if topic in self._numbers:
-                    self._put(topic, _Image(pair, eye), pair.capture_ns, wanted=True)
+                    self._put(topic, (pair, eye), pair.capture_ns, wanted=True)
 
     def _picture_due(self, capture_ns: int) -> bool:
         if self._settings.images != "jpeg":

@@ -6,16 +6,15 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from http import HTTPStatus
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fastapi import Body, Depends, FastAPI, Header, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from protocol.errors import RequestRefused
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.program import Program
-from vision_pc.application.results import JSON
 from vision_pc.shell.rest.operations import Operation, Operations
 
 MAX_WAIT_S = 3600
@@ -31,54 +30,6 @@ def preferred_wait_s(fields: Iterable[str]) -> int | None:
     return None if found is None else min(int(found[1]), MAX_WAIT_S)
 
 
-_OPERATION_EXAMPLE: JSON = {
-    "id": "5f0c2a9be1d4",
-    "kind": "look-then-move",
-    "state": "succeeded",
-    "progress": 1.0,
-    "note": "reached: error +0.5 +0.2 -1.0 mm, inside 5 mm",
-    "request": {"method": "calibrated", "inputs": 1},
-    "created_at": 1.7e9,
-    "started_at": 1.7e9,
-    "ended_at": 1.700000012e9,
-    "result": {
-        "error_mm": {"x": 0.47, "y": 0.23, "z": -0.98},
-        "std_mm": {"x": 0.2, "y": 0.2, "z": 0.6},
-        "tolerance_mm": 5.0,
-        "verdict": "inside",
-        "certain": True,
-        "ended": "reached",
-    },
-    "problem": None,
-}
-
-
-class OperationView(BaseModel):
-    """An operation resource. ``result`` once it has succeeded, ``problem`` (RFC 9457) once it has failed."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": [_OPERATION_EXAMPLE]})
-
-    id: str
-    kind: str
-    state: Literal["queued", "running", "succeeded", "failed", "cancelled"]
-    progress: float = Field(ge=0.0, le=1.0)
-    note: str
-    request: JSON
-    created_at: float
-    started_at: float | None
-    ended_at: float | None
-    result: JSON | None
-    problem: JSON | None
-
-
-def operation_view(operation: Operation) -> OperationView:
-    """The resource of an operation. Times are seconds since 1970."""
-    fields = {name: getattr(operation, name) for name in OperationView.model_fields}
-    return OperationView.model_construct(  # validated by the loop that answers, not by the one that runs it
-        **fields | {"state": operation.state.value}
-    )
-
-
 _KEY_LIVES = (
     "Same key, same operation, while that is among the newest 200; of an older one 410 `refused.key_spent`, "
     "for the newest 10,000 keys. A restart forgets them; nothing moves then before the arm is enabled again."
@@ -92,7 +43,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "It has ended: succeeded, failed or cancelled",
         "headers": {"Location": _TEXT, "Preference-Applied": _TEXT},
-        "model": OperationView,
+        "model": Operation,
     },
     202: {"headers": {"Location": _TEXT, "Preference-Applied": _TEXT}},
 }
@@ -130,7 +81,7 @@ def _add_program(
 
     async def start(
         request: Request, response: Response, body: Any = left_out, key: _Key = None
-    ) -> OperationView:
+    ) -> Operation:
         if len(request.headers.getlist("idempotency-key")) > 1:
             raise RequestRefused("request.repeated_header", "Idempotency-Key is there more than once")
         operation = operations.start(program, application, body or nothing, key)
@@ -139,10 +90,10 @@ def _add_program(
         if wait_s is not None:
             with suppress(TimeoutError):
                 async with asyncio.timeout(wait_s):
-                    await operation.end.wait()
+                    await operation.wait()
             response.headers["Preference-Applied"] = f"wait={wait_s}"
             response.status_code = HTTPStatus.OK if operation.state.ended else HTTPStatus.ACCEPTED
-        return operation_view(operation)
+        return operation
 
     start.__annotations__["body"] = program.body if nothing is None else program.body | None
     app.post(
@@ -173,14 +124,14 @@ def add_resources(app: FastAPI, operations: Operations) -> None:
     Found = Annotated[Operation, Depends(found)]
 
     @app.get("/operations", tags=["operations"], summary="All operations, oldest first")
-    async def every() -> list[OperationView]:
-        return [operation_view(operation) for operation in operations.list()]
+    async def every() -> list[Operation]:
+        return operations.list()
 
     @app.get("/operations/{operation_id}", tags=["operations"], summary="One operation")
-    async def one(operation: Found) -> OperationView:
-        return operation_view(operation)
+    async def one(operation: Found) -> Operation:
+        return operation
 
     @app.post("/operations/{operation_id}/cancel", tags=["operations"], summary="End it and stop the arm")
-    async def cancel(operation: Found) -> OperationView:
+    async def cancel(operation: Found) -> Operation:
         """409 when it has already ended."""
-        return operation_view(await operations.cancel(operation.id))
+        return await operations.cancel(operation.id)

@@ -10,10 +10,11 @@ import time
 import uuid
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
 from enum import StrEnum
 from http import HTTPStatus
 from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from foundation.rest import problems
 from protocol.errors import LongreachError, RequestRefused
@@ -44,22 +45,54 @@ class OperationState(StrEnum):
         return self in (OperationState.SUCCEEDED, OperationState.FAILED, OperationState.CANCELLED)
 
 
-@dataclass
-class Operation:
-    """One operation. ``end`` is set with its end state."""
+_EXAMPLE: JSON = {
+    "id": "5f0c2a9be1d4",
+    "kind": "look-then-move",
+    "state": "succeeded",
+    "progress": 1.0,
+    "note": "reached: error +0.5 +0.2 -1.0 mm, inside 5 mm",
+    "request": {"method": "calibrated", "inputs": 1},
+    "created_at": 1.7e9,
+    "started_at": 1.7e9,
+    "ended_at": 1.700000012e9,
+    "result": {
+        "error_mm": {"x": 0.47, "y": 0.23, "z": -0.98},
+        "std_mm": {"x": 0.2, "y": 0.2, "z": 0.6},
+        "tolerance_mm": 5.0,
+        "verdict": "inside",
+        "certain": True,
+        "ended": "reached",
+    },
+    "problem": None,
+}
 
+
+class Operation(BaseModel):
+    """An operation resource. ``result`` once it has succeeded, ``problem`` (RFC 9457) once it has failed.
+
+    Times are seconds since 1970.
+    """
+
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [_EXAMPLE]}, json_schema_serialization_defaults_required=True
+    )
+
+    id: str = Field(default_factory=lambda: uuid.uuid4().hex[:12])
     kind: str
-    request: JSON
-    id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     state: OperationState = OperationState.QUEUED
-    progress: float = 0.0
+    progress: float = Field(0.0, ge=0.0, le=1.0)
     note: str = "queued"
-    created_at: float = field(default_factory=time.time)
+    request: JSON
+    created_at: float = Field(default_factory=time.time)
     started_at: float | None = None
     ended_at: float | None = None
     result: JSON | None = None
     problem: JSON | None = None
-    end: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
+    _end: asyncio.Event = PrivateAttr(default_factory=asyncio.Event)
+
+    async def wait(self) -> None:
+        """Return once it has ended."""
+        await self._end.wait()
 
     def report(self, progress: float, note: str) -> None:
         """Notes progress 0…1; without effect once ended."""
@@ -112,7 +145,7 @@ class Operations:
         async def work(report: Report) -> JSON:
             return program.to_json(await program.run(application, settings, report))
 
-        return self._start(Operation(program.name, request), work, key)
+        return self._start(Operation(kind=program.name, request=request), work, key)
 
     def refuse_busy(self) -> None:
         """Raises RequestRefused (``refused.busy``) while an operation runs."""
@@ -208,7 +241,7 @@ class Operations:
             result=result,
             problem=problem,
         )
-        operation.end.set()
+        operation._end.set()
 
     def _forget_old(self) -> None:
         while len(self._all) > _REMEMBERED:

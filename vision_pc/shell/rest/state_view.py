@@ -5,9 +5,9 @@ import math
 from pydantic import BaseModel, Field
 
 from protocol.channel import LinkStatistics
-from protocol.errors import LinkLost
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.console.overview import session_state
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.results import JSON, pose_json
 from vision_pc.core.se3 import from_pose
@@ -53,18 +53,15 @@ class LinkView(BaseModel):
 
 def link_view(link: ReferenceLink) -> LinkView:
     """The link as it is now; never raises, for it is asked when something is wrong."""
-    tally, clock = link.statistics, link.clock_offset
-    trouble = None
-    try:
-        state = link.state
+    tally, clock, far = link.session.statistics, link.session.clock, None
+    state, lost = session_state(link)
+    if state is not None:
         far = FarSide(references_lost=state.references_lost, references_dropped=state.references_dropped)
-    except LinkLost as error:
-        far, trouble = None, LinkTrouble(cause=error.cause, detail=str(error))
     return LinkView(
         connected=link.connected,
-        authenticated=link.authenticated,
+        authenticated=link.session.authenticated,
         tries_valves=link.tries_valves,
-        trouble=trouble,
+        trouble=None if lost is None else LinkTrouble(cause=lost.cause, detail=str(lost)),
         state_age_ms=None if far is None else round(link.state_age_ns / 1e6, 3),
         datagrams=tally,
         dropped=tally.dropped,
@@ -82,7 +79,7 @@ def link_view(link: ReferenceLink) -> LinkView:
 def state_json(application: VisionApplication) -> JSON:
     """The controller's newest state, the links and the camera. Raises LinkLost without a controller."""
     state = application.controller.state
-    clock = application.controller.clock_offset
+    clock = application.controller.session.clock
     camera = application.camera.status()
     return arm_json(state) | {
         "link": {

@@ -67,7 +67,7 @@ class DoorProcess:
 
     def sent(self, link: ReferenceLink) -> None:
         """The link has sent: its next numbers are these."""
-        self._numbers.next_numbers = link.next_numbers
+        self._numbers.next_numbers = link.session.next_numbers
 
     def hear(self) -> None:
         """Read all that it has said."""
@@ -93,7 +93,7 @@ class DoorProcess:
     def _receive(self, order: dict[str, Any]) -> None:
         for refusal, source, count in order.get("refused", ()):
             self._refusals.tell(refusal, source, count)
-        if "stop" in order and self._link is not None and self._link.credentials is not None:
+        if "stop" in order and self._link is not None and self._link.session.credentials is not None:
             self._link.take_over(Command(order["stop"], CommandCode(order["code"])), order["next_sequence"])
             self.stopped()
 
@@ -107,7 +107,7 @@ class DoorProcess:
             self._numbers.tell_state(event.state.group_state, event.state.fault, event.state.flags)
         elif isinstance(event, Connected):
             self.sent(self._link)
-            self._send(session=self._link.credentials)
+            self._send(session=self._link.session.credentials)
         elif isinstance(event, SessionLost):
             self._send(session=None)
 

@@ -15,12 +15,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import CameraErrors, FrameObservation, Look, StereoPair
 from vision_pc.shell.recording import vision_recorder as names
-from vision_pc.shell.recording.vision_messages import (
-    CombinedLook,
-    GivenWithFrame,
-    ObservationMessage,
-    OdometryMessage,
-)
+from vision_pc.shell.recording.vision_messages import LookMessage, ObservationMessage, OdometryMessage
 from vision_pc.shell.recording.vision_recorder import WAITING_FRAMES, VisionRecorder
 
 CONFIG = load(VisionConfig, CONFIGS / "vision.yaml")
@@ -96,7 +91,7 @@ def test_a_frame_is_kept_once_and_no_more_than_some_wait() -> None:
     made, sink = recorder(images="raw")
     for number in range(1, WAITING_FRAMES + 4):
         made.observed(pair(number), None, seen(number))
-        made.tracked(1, pair(number), GivenWithFrame(False, np.eye(4) if number == 2 else None), "no_texture")
+        made.tracked(1, pair(number), False, np.eye(4) if number == 2 else None, "no_texture")
     assert made.missed == 3
     taken = sink.take()
     assert len(taken[names.FRAME]) == len(taken[names.IMAGES[0]]) == WAITING_FRAMES
@@ -144,5 +139,5 @@ def test_a_look_names_every_observation_that_it_is_made_of() -> None:
         made.observed(pair(number), found[number - 1] if number else None, observation)
     look: Any = dict.fromkeys(Look._fields, None) | {"time_ns": 5, "X_CM": np.eye(4), "X_CO": np.eye(4)}
     made.looked(Look(**look), found)
-    (put,) = [message for _, message in sink.waiting if isinstance(message, CombinedLook)]
-    assert put.observations == tuple(range(1, 1001))
+    (written,) = sink.take()[names.LOOK]
+    assert list(LookMessage.FromString(written).observations) == list(range(1, 1001))

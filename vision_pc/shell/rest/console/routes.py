@@ -174,7 +174,7 @@ class Console:
     async def _snapshot(self) -> bytes:
         """The next event of the stream of state."""
         rig, operations = self._application, self._operations.list()[-_OPERATIONS_SHOWN:]
-        now_s, look, (state, _) = time.time(), rig.newest_look, session_state(rig)
+        now_s, look, (state, _) = time.time(), rig.newest_look, session_state(rig.controller)
         self._overview.note(now_s, rig)
         self._note_failures(operations)
         if self.pictures.followers and (not operations or operations[-1].state.ended):
