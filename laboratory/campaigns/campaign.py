@@ -93,8 +93,8 @@ def run_campaign(request: CampaignRequest, run: Run, tasks: Sequence[Task], titl
     failed by no fault of its own (its worker died, or the program broke).
 
     Raises ConfigurationError for a key given twice, a malformed address and a directory that cannot be made
-    (``output.unwritable``), LinkLost when the scheduler does not answer, has no workers, or goes away; the
-    rows done until then are in the file.
+    (``output.unwritable``), LinkLost when the scheduler does not answer or goes away; the rows done until
+    then are in the file.
     """
     evidence = evidence_of(run, request.config_dir)
     names = [(task["key"], configuration_of(evidence, task)) for task in tasks]
