@@ -79,8 +79,8 @@ def nothing(done: Finished[Any]) -> dict[str, Any]:
 class Experiment(Generic[S]):
     """``tasks`` makes the runs asked for, ``run`` measures one, the others judge all rows.
 
-    ``settings``: a NamedTuple of options, annotated for the command line. ``tables``, ``plot`` (name →
-    figure) and ``results`` (for JSON) show the rows, ``verdict`` compares them with limits. ``runs``,
+    ``settings``: a NamedTuple of options, annotated for the command line. ``tables`` and ``plot`` (name →
+    figure) show the rows, ``verdict`` compares them with limits. ``runs``,
     ``seed``: the defaults. ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is
     shorter than the start of a worker.
     """
@@ -93,7 +93,6 @@ class Experiment(Generic[S]):
     verdict: Callable[[Finished[S]], Sequence[Check]]
     runs: int
     plot: Callable[[Finished[S]], "Mapping[str, Figure]"] = nothing
-    results: Callable[[Finished[S]], Mapping[str, Any]] = nothing
     seed: int = 1
     world: str = ""
     eyes: str = ""
@@ -129,7 +128,7 @@ def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) ->
         "reused": campaign.reused,
         "rows": campaign.rows,
     }
-    write_json(request.json_file, results | dict(experiment.results(done)))
+    write_json(request.json_file, results)
     return passed
 
 
@@ -148,14 +147,9 @@ def _conditions(experiment: Experiment[S], done: Finished[S]) -> str:
 
 
 def _failures(rows: Sequence[Row]) -> list[Table]:
-    """The causes of failed runs, how often each, and the key of one of them; no table where none failed."""
-    causes = failure_counts(row["failure"] for row in rows)
-    cells = []
-    for cause, count in causes:
-        first = next(row for row in rows if str(row["failure"]).startswith(cause))
-        cells.append((cause, count, first["key"], str(first["failure"]).splitlines()[0]))
-    headings = ("cause", "runs", "such as", "")
-    return [table("runs that failed, and count as failed above", headings, cells)] if cells else []
+    """The causes of failed runs, and how often each; no table where none failed."""
+    cells = failure_counts(row["failure"] for row in rows)
+    return [table("runs that failed, and count as failed above", ("cause", "runs"), cells)] if cells else []
 
 
 def failure_counts(failures: Iterable[str | None]) -> list[tuple[str, int]]:

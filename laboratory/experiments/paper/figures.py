@@ -17,20 +17,6 @@ Trace = Mapping[str, Array]
 KINDS = {"fig5": "line", "fig6": "line", "fig7": "line", "fig8": "match", "fig9": "match"}
 """The kind of measurement that each figure is of."""
 
-FIGURES = {
-    "fig5": "Euler angles of the tool marker against the object before and after the orientation adjustment: "
-    "one input drives two of the three close to zero; samples at zero are failed detections.",
-    "fig6": "The circle, wanted and driven, and the way to the reference: the driven path clearly resembles "
-    "a circle but is not completely planar.",
-    "fig7": "Position errors over the line equation: x and y come down to a few centimetres; the depth "
-    "is not treated.",
-    "fig8": "The path wanted, by the encoders, and by the camera after the match: the calibrated camera "
-    "follows the encoders.",
-    "fig9": "Position errors over two inputs after the match: the first does not bring x and y under 10 mm, "
-    "the second does; the depth keeps an offset.",
-}
-"""What each figure shows in the paper, in words."""
-
 
 def draw(name: str, traced: Trace, rows: Sequence[Row]) -> Figure:
     """Figure ``name``."""
