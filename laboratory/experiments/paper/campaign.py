@@ -133,7 +133,7 @@ def paper_verdict(done: Finished[PaperSettings]) -> list[Check]:
 
 
 def paper_plot(done: Finished[PaperSettings]) -> Mapping[str, Figure]:
-    """The paper's figures with ours: one measurement that is traced for each, all runs beside it."""
+    """The paper's figures with ours: one measurement that is traced for each."""
     rows = by_kind(done)
     return {name: _draw_figure(name, done, rows[figures.KINDS[name]]) for name in done.settings.figures}
 
@@ -142,7 +142,7 @@ def _draw_figure(name: str, done: Finished[PaperSettings], rows: list[Row]) -> F
     """A figure, traced with the first seed whose measurement ended well."""
     whole = next((row["seed"] for row in rows if not row["failure"]), done.request.seed)
     task = paper_task(done.request.config_dir, done.settings, figures.KINDS[name], int(whole))
-    return figures.draw(name, trace(done.request.config_dir, task), rows)
+    return figures.draw(name, trace(done.request.config_dir, task))
 
 
 def comparison_cells(beside: list[Compared]) -> list[list[str]]:

@@ -1,4 +1,4 @@
-"""The paper's figures 5 to 9 from our measurements: one traced measurement, and all runs beside it."""
+"""The paper's figures 5 to 9 from one traced measurement of ours."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from laboratory.campaigns.rows import Row
-from laboratory.experiments.paper.comparison import SUB_CENTIMETRE_MM, values
+from laboratory.experiments.paper.comparison import SUB_CENTIMETRE_MM
 from testbed.reporting.plots import AXIS_COLOURS, STYLE
 from vision_pc.core.se3 import Array
 
@@ -18,14 +17,17 @@ KINDS = {"fig5": "line", "fig6": "line", "fig7": "line", "fig8": "match", "fig9"
 """The kind of measurement that each figure is of."""
 
 
-def draw(name: str, traced: Trace, rows: Sequence[Row]) -> Figure:
+def draw(name: str, traced: Trace) -> Figure:
     """Figure ``name``."""
+    drawings = {"fig5": _fig5, "fig6": _fig6, "fig7": _fig7, "fig8": _fig8, "fig9": _fig9}
     with matplotlib.rc_context(STYLE):
-        return {"fig5": _fig5, "fig6": _fig6, "fig7": _fig7, "fig8": _fig8, "fig9": _fig9}[name](traced, rows)
+        figure = Figure(figsize=(11.0 if name == "fig6" else 5.5, 4.2), layout="constrained")
+        drawings[name](figure, traced)
+    return figure
 
 
-def _fig5(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (over_time, spread) = _panels()
+def _fig5(figure: Figure, traced: Trace) -> None:
+    over_time = figure.subplots()
     given = float(traced["input_s"][0])
     until = float(traced["input_s"][1])
     _curves(over_time, traced, "turn_deg", until, 1.0)
@@ -40,12 +42,10 @@ def _fig5(traced: Trace, rows: Sequence[Row]) -> Figure:
         ylabel="Euler angle / °",
         title="one measurement; rings: looks at rest; ticks: nothing seen",
     )
-    _boxes(spread, rows, ("start", "oriented"), "r", "deg", "|Euler angle| / °")
-    return figure
 
 
-def _fig6(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (front, flat) = _panels()
+def _fig6(figure: Figure, traced: Trace) -> None:
+    front, flat = figure.subplots(1, 2)
     wanted, driven = traced["corners_1"], traced["path_p_BT"]
     begun = traced["input_s"][2]
     last = traced["input_s"][3]
@@ -67,21 +67,18 @@ def _fig6(traced: Trace, rows: Sequence[Row]) -> Figure:
         flat.plot(np.linspace(0.0, 1.0, len(off)), off, color=colour, label=label)
     flat.set(xlabel="share of the circle's path", ylabel="out of its plane / mm", title="how planar it is")
     flat.legend()
-    return figure
 
 
-def _fig7(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (over_time, spread) = _panels()
+def _fig7(figure: Figure, traced: Trace) -> None:
+    over_time = figure.subplots()
     given = traced["input_s"][1:3]
     _curves(over_time, traced, "error_m", float(traced["input_s"][3]), 1e3)
     _mark_inputs(over_time, given)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="circle, then one input")
-    _boxes(spread, rows, ("oriented", "input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
-    return figure
 
 
-def _fig8(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (front, spread) = _panels()
+def _fig8(figure: Figure, traced: Trace) -> None:
+    front = figure.subplots()
     tool = traced["path_p_BT"]
     camera = traced["path_p_C0C"] @ traced["R_BC"].T
     camera = camera - camera.mean(axis=0) + tool.mean(axis=0)
@@ -92,17 +89,10 @@ def _fig8(traced: Trace, rows: Sequence[Row]) -> Figure:
     ):
         front.plot(-points[:, 1], points[:, 2], color=colour, linewidth=1.0, label=label)
     _front(front)
-    error, residual = values(rows, "rotation_error_deg"), values(rows, "residual_mm")
-    spread.plot(residual, error, "o", markersize=4, color=AXIS_COLOURS[0], alpha=0.7)
-    spread.set(
-        xlabel="mean residual of the match / mm", ylabel="true error of its rotation / °",
-        title=f"{len(error)} runs", xlim=(0.0, None), ylim=(0.0, None),
-    )  # fmt: skip
-    return figure
 
 
-def _fig9(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (over_time, spread) = _panels()
+def _fig9(figure: Figure, traced: Trace) -> None:
+    over_time = figure.subplots()
     given = traced["input_s"][2:4]
     after = traced["time_s"] > given[0] - 1.0
     shown = {name: value[after] for name, value in traced.items() if name in ("time_s", "error_m")}
@@ -110,9 +100,6 @@ def _fig9(traced: Trace, rows: Sequence[Row]) -> Figure:
     _mark_inputs(over_time, given)
     over_time.axhspan(-SUB_CENTIMETRE_MM, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="two inputs after the match")
-    _boxes(spread, rows, ("input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
-    spread.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
-    return figure
 
 
 def _front(axes: Axes) -> None:
@@ -120,12 +107,6 @@ def _front(axes: Axes) -> None:
     axes.set(xlabel="right / m", ylabel="up / m", title="one measurement, from behind the tool")
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(loc="best")
-
-
-def _panels() -> tuple[Figure, tuple[Axes, Axes]]:
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    return figure, (left, right)
 
 
 def _curves(axes: Axes, traced: Trace, name: str, until_s: float, scale: float) -> None:
@@ -147,39 +128,6 @@ def _mark_failures(axes: Axes, traced: Trace, until_s: float) -> None:
 def _mark_inputs(axes: Axes, times_s: Sequence[float] | Array) -> None:
     for time_s in times_s:
         axes.axvline(float(time_s), color="0.4", linewidth=0.9, linestyle=":")
-
-
-def _boxes(
-    axes: Axes,
-    rows: Sequence[Row],
-    stages: tuple[str, ...],
-    turn: str,
-    unit: str,
-    label: str,
-    *,
-    axes_names: str = "xyz",
-) -> None:
-    """Absolute errors of all runs at each stage, a box for each axis."""
-    for stage_number, stage in enumerate(stages):
-        for axis in axes_names:
-            at = stage_number + 0.25 * ("xyz".index(axis) - 1)
-            shown = np.abs(values(rows, f"{stage}_{turn}{axis}_{unit}"))
-            drawn = axes.boxplot(
-                [shown], positions=[at], widths=0.2, whis=(5.0, 95.0), sym=".", patch_artist=True,
-                manage_ticks=False, medianprops={"color": "black"},
-            )  # fmt: skip
-            drawn["boxes"][0].set(facecolor=AXIS_COLOURS["xyz".index(axis)], alpha=0.7)
-    axes.set_xticks(range(len(stages)), [_WORDS[stage] for stage in stages])
-    axes.set(ylabel=label, title=f"{len(rows)} runs, whiskers 5 to 95 %", ylim=(0.0, None))
-
-
-_WORDS = {
-    "start": "before",
-    "oriented": "after orientation",
-    "matched": "after the match",
-    "input1": "first input",
-    "input2": "second input",
-}
 
 
 def _normal(points: Array) -> Array:

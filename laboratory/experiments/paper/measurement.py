@@ -4,7 +4,6 @@ A task is flat: ``key``, ``kind`` (``line`` or ``match``), ``scenario``, ``seed`
 Each measurement begins anew, at the start pose of a world drawn from the seed, as the paper's did.
 """
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -27,7 +26,7 @@ from vision_pc.core.calibration.orientation import adjust_orientation, orientati
 from vision_pc.core.calibration.trajectory_matching import trajectory_matching
 from vision_pc.core.ports import Arm, Eyes
 from vision_pc.core.positioning.look_then_move import step
-from vision_pc.core.se3 import Array, angle_between, transform
+from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look
 
 
@@ -115,10 +114,6 @@ def _match(rig: Bench, row: Row) -> LocalCalibration:
     found = run(trajectory_matching(rig.arm, rig.eyes, _silent, *made))
     for axis, mean, most in zip("xyz", found.residuals.mean_m, found.residuals.maximum_m, strict=True):
         row |= {f"residual_{axis}_mm": 1e3 * float(mean), f"residual_max_{axis}_mm": 1e3 * float(most)}
-    row["residual_mm"] = 1e3 * float(np.linalg.norm(found.residuals.mean_m))
-    # from the R_BC found to the camera's true one; the base's own lean is a part of it
-    R_BC = found.rotation_at(run(rig.arm.view()).X_BT)
-    row["rotation_error_deg"] = math.degrees(angle_between(R_BC, rig.world.truths[-1].X_WC[:3, :3]))
     look = _at_rest(rig, "matched", row)
     for number in (1, 2):
         run(rig.arm.move_to(step(look, programs.positioning, found).X_BT_ref))

@@ -102,14 +102,10 @@ def _errors(arm: str, rows: Sequence[Row]) -> Table:
     shown = []
     for name, what in BRANCHES.items():
         worst, z = worst_mm(rows, name), np.abs(column(rows, f"{name}_true_z_mm"))
-        apart = np.array(
-            [column(rows, f"{name}_measured_{a}_mm") - column(rows, f"{name}_true_{a}_mm") for a in "xy"]
-        )
-        rms = np.sqrt(np.nanmean(apart**2)) if np.isfinite(apart).any() else np.nan
-        statistics = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)] + [rms]
+        statistics = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)]
         within = f"{np.count_nonzero(worst <= LIMIT_MM)} of {len(rows)}"
         shown.append([what, within, *(f"{figure:.2f}" for figure in statistics)])
-    headings = ["after", "within 5 mm", "median", "95 %", "worst", "|z| median", "95 %", "measured − true"]
+    headings = ["after", "within 5 mm", "median", "95 %", "worst", "|z| median", "95 %"]
     return table(f"arm {arm}, {len(rows)} runs: worse of true |x| and |y|, mm", headings, shown)
 
 
