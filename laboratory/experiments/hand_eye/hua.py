@@ -1,14 +1,12 @@
 """`longreach experiment hua`: localisation (Fig. 5 and 6) and noise (Fig. 7) of Hua et al. 2024."""
 
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
 
 import numpy as np
-import typer
 from rich.table import Table
 
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Check, Experiment, Finished, demand_all
+from laboratory.campaigns.experiment import Check, Experiment, Finished, NoSettings, demand_all
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.hand_eye.localisation import (
     KEPT,
@@ -27,31 +25,22 @@ from vision_pc.config.choices import Method
 _ENOUGH = 100  # runs: with fewer, chance decides whether a mean is inside its limits
 
 
-class LocalisationSettings(NamedTuple):
-    """How often each target is located."""
-
-    repetitions: Annotated[int, typer.Option(min=1, help="Localisations of each task.")] = 50
+LEVELS = 10
+REPETITIONS = 50  # localisations of each target
 
 
-class NoiseSettings(NamedTuple):
-    """How noisy poses are."""
-
-    largest: Annotated[int, typer.Option(min=1, help="Levels d = 1 … this.")] = 10
-
-
-def sweep_tasks(request: CampaignRequest, settings: NoiseSettings) -> list[Task]:
+def sweep_tasks(request: CampaignRequest, settings: NoSettings) -> list[Task]:
     """One task a level, with all its runs."""
-    common: Task = {"runs": request.runs, "seed": request.seed}
-    levels = range(1, settings.largest + 1)
-    return [{"key": f"{request.runs}-{request.seed}-{level}", "level": level} | common for level in levels]
+    key, common = f"{request.runs}-{request.seed}", {"runs": request.runs, "seed": request.seed}
+    return [{"key": f"{key}-{level}", "level": level} | common for level in range(1, LEVELS + 1)]
 
 
-def _sweep(done: Finished[NoiseSettings]) -> list[SweepRow]:
+def _sweep(done: Finished[NoSettings]) -> list[SweepRow]:
     demand_all(done.rows)
     return [SweepRow(**row) for level in done.rows for row in level["rows"]]
 
 
-def sweep_tables(done: Finished[NoiseSettings]) -> list[Table]:
+def sweep_tables(done: Finished[NoSettings]) -> list[Table]:
     """The first and the last level."""
     columns: Columns = {
         "method": "{method}",
@@ -64,7 +53,7 @@ def sweep_tables(done: Finished[NoiseSettings]) -> list[Table]:
         "failed": "{failed}",
     }
     tables = []
-    for level in sorted({1, done.settings.largest}):
+    for level in (1, LEVELS):
         shown = [row for row in _sweep(done) if row.level == level]
         first = shown[0]
         title = (
@@ -75,7 +64,7 @@ def sweep_tables(done: Finished[NoiseSettings]) -> list[Table]:
     return tables
 
 
-def sweep_verdict(done: Finished[NoiseSettings]) -> list[Check]:
+def sweep_verdict(done: Finished[NoSettings]) -> list[Check]:
     """What is asked of the sweep (Fig. 7)."""
     rows, runs = _sweep(done), done.request.runs
     failed = sum(r.failed for r in rows)
@@ -116,7 +105,7 @@ def _checks_by_bound(rows: Sequence[SweepRow], runs: int) -> list[Check]:
 
 NOISE = Experiment(
     name="hua-noise",
-    settings=NoiseSettings,
+    settings=NoSettings,
     tasks=sweep_tasks,
     run=level_of,
     tables=sweep_tables,
@@ -127,19 +116,18 @@ NOISE = Experiment(
 )
 
 
-def localisation_tasks(request: CampaignRequest, settings: LocalisationSettings) -> list[Task]:
+def localisation_tasks(request: CampaignRequest, settings: NoSettings) -> list[Task]:
     """One task a calibration."""
-    seed, repetitions = request.seed, settings.repetitions
-    common: Task = {"repetitions": repetitions, "seed": seed}
-    return [{"key": f"{seed}-{repetitions}-{run}", "run": run} | common for run in range(request.runs)]
+    common: Task = {"repetitions": REPETITIONS, "seed": request.seed}
+    return [{"key": f"{request.seed}-{run}", "run": run} | common for run in range(request.runs)]
 
 
-def _errors(done: Finished[LocalisationSettings]) -> Errors:
+def _errors(done: Finished[NoSettings]) -> Errors:
     demand_all(done.rows)
     return errors_of(row["entries"] for row in done.rows)
 
 
-def localisation_verdict(done: Finished[LocalisationSettings]) -> list[Check]:
+def localisation_verdict(done: Finished[NoSettings]) -> list[Check]:
     """The robust solver, bad samples included, locates better than the paper's best (Fig. 5, 6)."""
     errors = _errors(done)
     robust, dqcr = (
@@ -150,7 +138,7 @@ def localisation_verdict(done: Finished[LocalisationSettings]) -> list[Check]:
     return [Check(what, f"{robust:.2f} mm", f"< {dqcr:.2f} mm", robust < dqcr)]
 
 
-def localisation_tables(done: Finished[LocalisationSettings]) -> list[Table]:
+def localisation_tables(done: Finished[NoSettings]) -> list[Table]:
     """Fig. 5 and 6: mean errors, and how many points lie within the key hole's clearance."""
     heads = ("method", "samples", "mm", "paper mm", f"within {TOLERANCE_MM:g} mm", "paper", "failed")
     cells = [
@@ -169,7 +157,7 @@ def localisation_tables(done: Finished[LocalisationSettings]) -> list[Table]:
 
 LOCALISATION = Experiment(
     name="hua-localisation",
-    settings=LocalisationSettings,
+    settings=NoSettings,
     tasks=localisation_tasks,
     run=calibration_row,
     tables=localisation_tables,

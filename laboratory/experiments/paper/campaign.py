@@ -13,16 +13,13 @@ import typer
 from matplotlib.figure import Figure
 from rich import table as rich
 
-from foundation.configuration import merged, parse_overrides
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished, seeds
 from laboratory.campaigns.rows import Row
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.paper import comparison, figures
 from laboratory.experiments.paper.comparison import FACTOR, TABLES, Compared
-from laboratory.experiments.paper.measurement import measure, trace
-from testbed.cli.options import Scenario
-from testbed.cli.options import Settings as Assignments
+from laboratory.experiments.paper.measurement import SCENARIO, measure, trace
 from testbed.reporting.console import table
 from testbed.scenarios.scenario import load_scenario, load_settings
 
@@ -39,7 +36,7 @@ PaperPart = StrEnum("PaperPart", {name: name for name in (*TABLES, *figures.KIND
 
 
 class PaperSettings(NamedTuple):
-    """What of the paper, the world that is measured in, and what measures."""
+    """What of the paper, and what measures."""
 
     part: Annotated[
         list[PaperPart] | None, typer.Option(help="Only this table or figure; repeatable. Usually all.")
@@ -51,8 +48,6 @@ class PaperSettings(NamedTuple):
             "markers; model: no pictures, errors as measured from them."
         ),
     ] = PaperEyes.OPENCV
-    scenario: Scenario = "paper"
-    assignments: Assignments = None
 
     @property
     def tables(self) -> list[str]:
@@ -67,16 +62,12 @@ class PaperSettings(NamedTuple):
 
 def paper_task(config_dir: Path, settings: PaperSettings, kind: str, seed: int) -> Task:
     """The task of one measurement. Raises ConfigurationError when its configuration is wrong."""
-    chosen = settings.assignments or []
-    drawn = load_scenario(config_dir, settings.scenario).world(seed)
-    load_settings(config_dir, merged(drawn, parse_overrides(chosen)))
+    load_settings(config_dir, load_scenario(config_dir, SCENARIO).world(seed))
     return {
         "key": f"{kind}-{settings.eyes}-{seed}",
         "kind": kind,
-        "scenario": settings.scenario,
         "seed": seed,
         "eyes": str(settings.eyes),
-        "assignments": chosen,
     }
 
 

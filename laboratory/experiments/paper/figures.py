@@ -21,13 +21,12 @@ def draw(name: str, traced: Trace) -> Figure:
     """Figure ``name``."""
     drawings = {"fig5": _fig5, "fig6": _fig6, "fig7": _fig7, "fig8": _fig8, "fig9": _fig9}
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(11.0 if name == "fig6" else 5.5, 4.2), layout="constrained")
-        drawings[name](figure, traced)
+        figure = Figure(figsize=(5.5, 4.2), layout="constrained")
+        drawings[name](figure.subplots(), traced)
     return figure
 
 
-def _fig5(figure: Figure, traced: Trace) -> None:
-    over_time = figure.subplots()
+def _fig5(over_time: Axes, traced: Trace) -> None:
     given = float(traced["input_s"][0])
     until = float(traced["input_s"][1])
     _curves(over_time, traced, "turn_deg", until, 1.0)
@@ -35,7 +34,8 @@ def _fig5(figure: Figure, traced: Trace) -> None:
     for axis, colour in enumerate(AXIS_COLOURS):
         turn = traced["look_turn_deg"][at_rest, axis]
         over_time.plot(traced["look_s"][at_rest], turn, "o", color=colour, markersize=7, fillstyle="none")
-    _mark_failures(over_time, traced, until)
+    failed = np.isnan(traced["turn_deg"][:, 0]) & (traced["time_s"] < until)  # the paper draws zeros there
+    over_time.plot(traced["time_s"][failed], np.zeros(int(failed.sum())), "|", color="black")
     _mark_inputs(over_time, [given])
     over_time.set(
         xlabel="time / s",
@@ -44,8 +44,7 @@ def _fig5(figure: Figure, traced: Trace) -> None:
     )
 
 
-def _fig6(figure: Figure, traced: Trace) -> None:
-    front, flat = figure.subplots(1, 2)
+def _fig6(front: Axes, traced: Trace) -> None:
     wanted, driven = traced["corners_1"], traced["path_p_BT"]
     begun = traced["input_s"][2]
     last = traced["input_s"][3]
@@ -58,27 +57,16 @@ def _fig6(figure: Figure, traced: Trace) -> None:
     front.plot(-traced["corners_2"][:, 1], traced["corners_2"][:, 2], color="black", linewidth=1.0)
     front.plot(-traced["corners_2"][-1, 1], traced["corners_2"][-1, 2], "o", color="black", label="reference")
     _front(front)
-    normal = _normal(wanted)
-    for label, points, colour in (
-        ("by the encoders", driven, AXIS_COLOURS[1]),
-        ("truly", _true_between(traced, 1, 2), AXIS_COLOURS[0]),
-    ):
-        off = 1e3 * (points - points.mean(axis=0)) @ normal
-        flat.plot(np.linspace(0.0, 1.0, len(off)), off, color=colour, label=label)
-    flat.set(xlabel="share of the circle's path", ylabel="out of its plane / mm", title="how planar it is")
-    flat.legend()
 
 
-def _fig7(figure: Figure, traced: Trace) -> None:
-    over_time = figure.subplots()
+def _fig7(over_time: Axes, traced: Trace) -> None:
     given = traced["input_s"][1:3]
     _curves(over_time, traced, "error_m", float(traced["input_s"][3]), 1e3)
     _mark_inputs(over_time, given)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="circle, then one input")
 
 
-def _fig8(figure: Figure, traced: Trace) -> None:
-    front = figure.subplots()
+def _fig8(front: Axes, traced: Trace) -> None:
     tool = traced["path_p_BT"]
     camera = traced["path_p_C0C"] @ traced["R_BC"].T
     camera = camera - camera.mean(axis=0) + tool.mean(axis=0)
@@ -91,8 +79,7 @@ def _fig8(figure: Figure, traced: Trace) -> None:
     _front(front)
 
 
-def _fig9(figure: Figure, traced: Trace) -> None:
-    over_time = figure.subplots()
+def _fig9(over_time: Axes, traced: Trace) -> None:
     given = traced["input_s"][2:4]
     after = traced["time_s"] > given[0] - 1.0
     shown = {name: value[after] for name, value in traced.items() if name in ("time_s", "error_m")}
@@ -119,25 +106,6 @@ def _curves(axes: Axes, traced: Trace, name: str, until_s: float, scale: float) 
     axes.legend(ncols=3, frameon=True, loc="best")
 
 
-def _mark_failures(axes: Axes, traced: Trace, until_s: float) -> None:
-    """Ticks where nothing was measured: the paper draws zeros there."""
-    failed = np.isnan(traced["turn_deg"][:, 0]) & (traced["time_s"] < until_s)
-    axes.plot(traced["time_s"][failed], np.zeros(int(failed.sum())), "|", color="black")
-
-
 def _mark_inputs(axes: Axes, times_s: Sequence[float] | Array) -> None:
     for time_s in times_s:
         axes.axvline(float(time_s), color="0.4", linewidth=0.9, linestyle=":")
-
-
-def _normal(points: Array) -> Array:
-    """Unit normal (3,) of the plane through ``points``."""
-    normal: Array = np.linalg.svd(points - points.mean(axis=0))[2][2]
-    return normal
-
-
-def _true_between(traced: Trace, first: int, last: int) -> Array:
-    """The tool's true places (n, 3) between two inputs."""
-    time_s, (begin, end) = traced["true_s"], (traced["input_s"][first], traced["input_s"][last])
-    moving: Array = traced["true_p_WT"][(time_s > begin) & (time_s < end)]
-    return moving

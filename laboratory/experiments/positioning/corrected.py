@@ -67,18 +67,11 @@ def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list
 
 
 def positioning_tables(done: Finished[DrawnSettings]) -> list[Table]:
-    """For each arm the errors after each branch, and what refused or failed; how many draws were kept."""
+    """For each arm the errors after each branch, and what refused or failed."""
     tables: list[Table] = []
     for arm, rows in by_arm(done.rows).items():
         tables += [_errors(arm, rows), *_stops(rows)]
-    unreachable, unseen = (int(np.nansum(column(done.rows, name))) for name in ("unreachable", "unseen"))
-    kept = sum(row.get("unseen") is not None for row in done.rows)
-    share = f"{kept / max(kept + unseen, 1):.0%}"
-    headings = (
-        "drawn", "out of the arm's reach", "a marker not whole in view", "kept", "kept of those in reach",
-    )  # fmt: skip
-    cells = [[kept + unreachable + unseen, unreachable, unseen, kept, share]]
-    return [*tables, table("draws that make a task", headings, cells)]
+    return tables
 
 
 def positioning_verdict(done: Finished[DrawnSettings]) -> list[Check]:

@@ -112,11 +112,10 @@ def parking_tables(done: Finished[ParkingOptions]) -> list[Table]:
     for arm, valves, rows in _kinds(done):
         moved, settled = column(rows, "moved_mm"), column(rows, "settled_s")
         kept = "met" if np.all(moved <= column(rows, "allowed_mm")) else "NOT met"
-        went = sum(len((row["unsettled"] or "").split()) for row in rows)
-        shares = f"{np.nanmedian(settled):.1f}", f"{column(rows, 'share').mean():.2f}", went
+        shares = f"{np.nanmedian(settled):.1f}", f"{column(rows, 'share').mean():.2f}"
         lines.append((arm, valves, len(rows), *shares, f"{np.median(moved):.2f}", f"{moved.max():.2f}", kept))
     headings = (
-        "arm", "valves", "runs", "settled after s", "SETTLED", "it went", "moved in it mm, median", "worst",
+        "arm", "valves", "runs", "settled after s", "SETTLED", "moved in it mm, median", "worst",
         "promise",
     )  # fmt: skip
     oil = "oil that cools" if done.settings.cooling else "oil as warm as it is"

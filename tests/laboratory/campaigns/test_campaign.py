@@ -32,7 +32,7 @@ def run_campaign(
     out: Path, run: Any, tasks: list[dict[str, Any]], config_dir: Path = CONFIGURED, **options: Any
 ) -> list[dict[str, Any]]:
     """The rows of a campaign."""
-    return campaign.run_campaign(CampaignRequest(config_dir, out, **options), run, tasks, "test").rows
+    return campaign.run_campaign(CampaignRequest(config_dir, out, **options), run, tasks, "test")[0]
 
 
 def measured(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:

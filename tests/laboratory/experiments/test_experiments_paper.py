@@ -100,18 +100,17 @@ def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
 
 def test_a_traced_measurement_notes_inputs_and_pictures() -> None:
     rig = bench(CONFIGS, task("line", 3, eyes=PaperEyes.MODEL), traces=True)
-    row: dict[str, Any] = {}
-    match = measured_on(rig, "line", row)
+    row, match = measured_on(rig, "line")
     assert isinstance(rig.arm, TracedArm)
-    traced = traced_arrays(rig.arm, rig.eyes, rig.world, match)
+    traced = traced_arrays(rig.arm, rig.eyes, match)
     assert len(traced["input_s"]) == 4  # orientation, circle, two inputs
     assert traced["corners_1"].shape == (19, 3)
     assert len(traced["look_s"]) == 4  # before and after the orientation, and after each input
     assert np.isfinite(traced["error_m"]).all(axis=1).mean() > 0.9
     assert row["input1_x_mm"] == pytest.approx(1e3 * traced["look_error_m"][-2][0])
     assert comparison.worst_mm([row], "input1") < 60.0
-    drawn = {name: figures.draw(name, traced).axes for name in ("fig5", "fig6", "fig7")}
-    assert {name: len(axes) for name, axes in drawn.items()} == {"fig5": 1, "fig6": 2, "fig7": 1}
+    for name in ("fig5", "fig6", "fig7"):
+        assert len(figures.draw(name, traced).axes[0].lines) >= 3
 
 
 class BlinkingEyes:

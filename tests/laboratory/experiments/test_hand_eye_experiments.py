@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from laboratory.campaigns.campaign import CampaignRequest
-from laboratory.campaigns.experiment import Finished
-from laboratory.experiments.hand_eye import hua, localisation, scenes
+from laboratory.campaigns.experiment import Finished, NoSettings
+from laboratory.experiments.hand_eye import localisation, scenes
 from laboratory.experiments.hand_eye.hua import localisation_tables, localisation_verdict
 from laboratory.experiments.hand_eye.noise_sweep import noise_level
 from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, attempted, rows_of
@@ -53,7 +53,7 @@ def test_small_localisation_favours_the_robust_solver() -> None:
     mean = {key: float(mm.mean()) for key, mm in errors.items()}
     assert mean["robust", "all 17"] < mean["dqcr", "12 kept by hand"]
     assert mean["dqcr", "all 17"] > 5.0
-    done = Finished(CampaignRequest(CONFIGS, CONFIGS), hua.LocalisationSettings(), (), rows, 0)
+    done = Finished(CampaignRequest(CONFIGS, CONFIGS), NoSettings(), (), rows, 0)
     assert localisation_verdict(done)[0].met
     cells = [list(column.cells) for column in localisation_tables(done)[0].columns]
     assert cells[0][0] == "tsai"
@@ -64,7 +64,7 @@ def test_a_method_that_refuses_is_counted_and_is_no_number() -> None:
     entry = ["robust", "all 17", [[None, None]] * 3]
     rows = [{"entries": [entry, ["dqcr", "12 kept by hand", [[1.0, 3.0]] * 3]], "failure": None}]
     rows += [{"entries": [["robust", "all 17", [[1.0, 5.0]] * 3]], "failure": None}]
-    done = Finished(CampaignRequest(CONFIGS, CONFIGS), hua.LocalisationSettings(), (), rows, 0)
+    done = Finished(CampaignRequest(CONFIGS, CONFIGS), NoSettings(), (), rows, 0)
     assert localisation_verdict(done)[0].met is False
     (shown,) = localisation_tables(done)
     assert [next(iter(column.cells)) for column in shown.columns][2::2] == ["3.00", "50%", "1"]
