@@ -98,9 +98,6 @@ def print_results(console: Console, summary: Summary) -> None:
     console.print(table)
     counts = ", ".join(f"{summary.count(outcome)} {outcome.value}" for outcome in CaseOutcome)
     console.print(f"{summary.host}:{summary.port}: {counts}; {summary.seconds:.1f} s")
-    flaky = [str(r.case.number) for r in summary.results if r.outcome is CaseOutcome.FLAKY]
-    if flaky:
-        console.print(f"flaky, passed when asked again: {', '.join(flaky)}")
     console.print(f"the tester itself was late by at most {summary.late_ms:.1f} ms")
 
 

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from conformance.wire import ANSWER_MS, MS, Failed, NoAnswer, Unsupported, Wire, require
+from conformance.wire import ANSWER_MS, Failed, NoAnswer, Unsupported, Wire, require
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import (
     Acknowledgement,
@@ -77,8 +77,7 @@ class Peer(Wire):
         While another session is open it is sent again for ``wait_ms``; SESSION_OCCUPIED: it still is.
         """
         reason = None
-        until_ns = self.now_ns + wait_ms * MS
-        while self.now_ns < until_ns:
+        for _ in self.within(wait_ms):
             self.send(hello, session=0, minor=minor)
             datagram = self.receive(HELLO_MS, beating=False)
             if datagram is None or isinstance(datagram.message, State | HeartbeatReply):
@@ -166,9 +165,7 @@ class Peer(Wire):
 
     def states(self, wait_ms: float, why: str = "STATE is sent") -> Iterator[State]:
         """STATEs of ``wait_ms``, each sent after the one before was used; at least one. Raises Failed."""
-        until_ns = self.now_ns + int(wait_ms * MS)
-        yield self.state(why)
-        while self.now_ns < until_ns:
+        for _ in self.within(max(wait_ms, 1.0)):
             yield self.state(why)
 
 

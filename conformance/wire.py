@@ -5,6 +5,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any, NamedTuple, TypeVar
 from zlib import crc32
 
@@ -49,14 +50,6 @@ def with_number(data: bytes, offset: int, code: str, value: float, key: Directio
     bent = bytearray(data)
     struct.pack_into("<" + code, bent, offset, value)
     return resealed(bytes(bent), key)
-
-
-def with_payload_of(data: bytes, size: int, key: DirectionKey | None = None) -> bytes:
-    """``data`` with a payload of ``size`` bytes, cut or filled up with zeros, and all else made to match."""
-    end = len(data) - (TRAILER_BYTES if key else 0)
-    payload, trailer = data[HEADER_BYTES:end], data[end:]
-    resized = data[:HEADER_BYTES] + payload[:size].ljust(size, b"\0") + trailer
-    return with_number(resized, LENGTH, "H", size, key)
 
 
 def with_bit_flipped(data: bytes, bit: int) -> bytes:
@@ -121,18 +114,8 @@ class NonceSource:
     def __init__(self, start: int) -> None:
         self.noted = Noted()
         # Half of a nonce is none of the run, and below every id there is room.
-        self._nonce = 2**61 + start % 2**61
-        self._command_id = ((start % 2**21) << 32) + 2**16
-
-    def draw(self) -> int:
-        """The next nonce."""
-        self._nonce += 1
-        return self._nonce
-
-    def next_id(self) -> int:
-        """The next command id."""
-        self._command_id += 1
-        return self._command_id
+        self.nonces = count(2**61 + start % 2**61 + 1)
+        self.ids = count(((start % 2**21) << 32) + 2**16 + 1)
 
 
 NO_WELCOME = Welcome(0, 0, 0, 0, 0, 0, 0)
@@ -222,11 +205,11 @@ class Wire:
 
     def nonce(self) -> int:
         """A nonce that this run has not used."""
-        return self._nonces.draw()
+        return next(self._nonces.nonces)
 
     def new_id(self) -> int:
         """A command id above all of this run."""
-        return self._nonces.next_id()
+        return next(self._nonces.ids)
 
     # sending
 
@@ -269,8 +252,11 @@ class Wire:
         return with_number(data, offset, code, value, self.signs(int.from_bytes(data[_SESSION], "little")))
 
     def with_payload_of(self, data: bytes, size: int) -> bytes:
-        """``data`` with a payload of ``size`` bytes, and length, CRC and tag made to match."""
-        return with_payload_of(data, size, self.signs(int.from_bytes(data[_SESSION], "little")))
+        """``data`` with a payload of ``size`` bytes, cut or filled up with zeros, and all else to match."""
+        end = len(data) - (TRAILER_BYTES if self.link_key else 0)
+        payload, trailer = data[HEADER_BYTES:end], data[end:]
+        resized = data[:HEADER_BYTES] + payload[:size].ljust(size, b"\0") + trailer
+        return self.with_number(resized, LENGTH, "H", size)
 
     def send(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
              session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
@@ -346,11 +332,16 @@ class Wire:
         fault = fault_of(data, header.flags, key)
         require(fault is None, f"{type(message).__name__} came that a client must refuse: {fault}")
 
-    def arriving(self, wait_ms: float, *, beating: bool = True) -> Iterator[Datagram]:
-        """Each datagram that comes within ``wait_ms``, as it comes."""
+    def within(self, wait_ms: float) -> Iterator[float]:
+        """Goes on for ``wait_ms``: what is left of it, ms, each time."""
         until_ns = self.now_ns + int(wait_ms * MS)
         while (left_ns := until_ns - self.now_ns) > 0:
-            datagram = self.receive(left_ns / MS, beating=beating)
+            yield left_ns / MS
+
+    def arriving(self, wait_ms: float, *, beating: bool = True) -> Iterator[Datagram]:
+        """Each datagram that comes within ``wait_ms``, as it comes."""
+        for left_ms in self.within(wait_ms):
+            datagram = self.receive(left_ms, beating=beating)
             if datagram is not None:
                 yield datagram
 

@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -89,4 +90,9 @@ def command_of(entry: Entry) -> Callable[..., None]:
 
 def _defaults(chosen: Any) -> dict[str, Any]:
     """What of a request each experiment has of its own."""
-    return {"out": chosen.directory, "runs": chosen.runs, "seed": chosen.seed, "workers": chosen.workers}
+    return {
+        "out": Path("runs") / chosen.name,
+        "runs": chosen.runs,
+        "seed": chosen.seed,
+        "workers": chosen.workers,
+    }

@@ -179,8 +179,7 @@ def number_of_the_scan(peer: Peer) -> None:
     stream = opened_stream(peer)
     cycle_ns = peer.welcome.cycle_ns
     given, seen = [], []
-    until_ns = peer.now_ns + 4 * RARELY_MS * MS
-    while peer.now_ns < until_ns:
+    for _ in peer.within(4 * RARELY_MS):
         given.append((peer.now_ns, stream.number))
         stream.give(here)
         for datagram in peer.collect(FEED_MS):

@@ -129,9 +129,8 @@ def present(peer: Peer) -> None:
 def counts(peer: Peer) -> None:
     states = [each.state for each in StateWatch(peer).during(200.0)]
     for a, b in pairwise(states):
-        require(b.overruns >= a.overruns, "overruns fell")
-        require(b.lateness_max_us >= a.lateness_max_us, "the greatest lateness fell")
-        require(b.plant_exchange_failures >= a.plant_exchange_failures, "failed exchanges fell")
+        for name in ("overruns", "lateness_max_us", "plant_exchange_failures"):
+            require(getattr(b, name) >= getattr(a, name), f"{name} fell")
         ordered = b.lateness_p50_us <= b.lateness_p99_us <= b.lateness_max_us
         require(ordered, "the median, the 99th percentile and the greatest lateness are not in order")
     state = states[-1]

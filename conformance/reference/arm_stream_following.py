@@ -73,8 +73,7 @@ class MovingReference(NamedTuple):
     def feed(self, stream: Stream, watch: StateWatch, wait_ms: float, age_ms: float = 0.0) -> list[Watched]:
         """Sends it for ``wait_ms``; the STATEs that came meanwhile."""
         seen: list[Watched] = []
-        until_ns = stream.peer.now_ns + int(wait_ms * MS)
-        while stream.peer.now_ns < until_ns:
+        for _ in stream.peer.within(wait_ms):
             self.give(stream, age_ms)
             seen += watch.during(PERIOD_MS)
         refused = [d.message for d in stream.peer.passed_over if isinstance(d.message, StreamRefused)]

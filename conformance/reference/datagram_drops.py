@@ -7,7 +7,7 @@ from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY, signed
 from conformance.reference.datagram_refusals import MAGIC_BIT
-from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used_next
+from conformance.reference.framing import FLAGS, KIND, MAJOR, flags_of, stop, used_next
 from conformance.reference.handshake import granted, require_ended
 from conformance.reference.sessions import SLACK_MS, dies_of_silence
 from conformance.wire import MS, require, resealed, with_bit_flipped
@@ -50,7 +50,7 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "from another port", other, beat
     yield "of another minor version", peer, lambda: beat(minor=peer.minor + 1)
     yield "of another major version", peer, lambda: raw(MAJOR, "B", 9)
-    yield "with a critical flag", peer, lambda: raw(FLAGS, "H", 1 << 15 | _flags(beat()))
+    yield "with a critical flag", peer, lambda: raw(FLAGS, "H", 1 << 15 | flags_of(beat()))
     yield "of an unknown kind", peer, lambda: raw(KIND, "B", 200)
     yield "with a wrong CRC", peer, lambda: with_bit_flipped(beat(), 8 * HEADER_BYTES)
     yield "with a wrong magic", peer, lambda: peer.resealed(with_bit_flipped(beat(), MAGIC_BIT))
@@ -71,10 +71,6 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "that is HELLO for another arm", peer, lambda: peer.encoded(another_arm, session=0)
     yield "that is HELLO from another port", other, lambda: peer.encoded(hello, session=0)
     yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
-
-
-def _flags(data: bytes) -> int:
-    return int.from_bytes(data[FLAGS : FLAGS + 2], "little")
 
 
 @case(
@@ -130,7 +126,7 @@ def bent_in_form(peer: Peer, message: Message) -> Iterator[bytes]:
     yield with_bit_flipped(data(), 8 * HEADER_BYTES + 1)
     yield peer.resealed(with_bit_flipped(data(), MAGIC_BIT))
     yield peer.with_number(data(), MAJOR, "B", 9)
-    yield peer.with_number(data(), FLAGS, "H", _flags(data()) | 1 << 15)
+    yield peer.with_number(data(), FLAGS, "H", flags_of(data()) | 1 << 15)
     yield peer.with_payload_of(data(), size + 8)
     yield peer.with_payload_of(data(), size - 4)  # what is cut off is zero, also of a heartbeat with MARK
     if not isinstance(message, Heartbeat | Bye):

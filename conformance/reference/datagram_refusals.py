@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
-from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, refused, stop
+from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, flags_of, refused, stop
 from conformance.reference.handshake import require_ended
 from conformance.reference.sessions import hello, welcomes
 from conformance.wire import MS, Unsupported, require, resealed, with_bit_flipped
@@ -76,11 +76,10 @@ def major_first(peer: Peer) -> None:
 def bent_requests(peer: Peer, session: int) -> Iterator[tuple[str, bytes]]:
     """Requests of ``session`` that a receiver refuses before it looks at the session, and why."""
     data = peer.encoded(stop(peer), session=session)
-    flags = int.from_bytes(data[FLAGS : FLAGS + 2], "little")
     yield "a wrong magic", peer.resealed(with_bit_flipped(data, MAGIC_BIT))
     yield "a wrong length", resealed(data + b"\0")
     yield "a wrong CRC", with_bit_flipped(data, 8 * len(data) - 1)
-    yield "a critical flag", peer.with_number(data, FLAGS, "H", flags | 1 << 15)
+    yield "a critical flag", peer.with_number(data, FLAGS, "H", flags_of(data) | 1 << 15)
     yield "an unknown kind", peer.with_number(data, KIND, "B", 200)
     yield "another kind's length", peer.with_payload_of(data, COMMAND_BYTES + 8)
     yield "a command id of 0", peer.with_number(data, HEADER_BYTES, "Q", 0)
@@ -99,11 +98,10 @@ def form_before_session(peer: Peer) -> None:
 @case(145, "3.5", "HELLO with any single bit flipped opens nothing, nor one too long, too short or flagged")
 def bent_hello(peer: Peer) -> None:
     data = peer.encoded(Hello(peer.nonce(), 1 | peer.required, 0, 50), session=0)
-    flags = int.from_bytes(data[FLAGS : FLAGS + 2], "little")
     bent = [with_bit_flipped(data, bit) for bit in range(8 * len(data))]
     bent += [data[:n] for n in range(HEADER_BYTES, len(data))]
     bent += [peer.with_payload_of(data, n) for n in (0, 24, 31, 33, 40)]
-    bent += [peer.with_number(data, FLAGS, "H", flags | 1 << bit) for bit in range(9, 16)]
+    bent += [peer.with_number(data, FLAGS, "H", flags_of(data) | 1 << bit) for bit in range(9, 16)]
     for each in bent:
         peer.send_raw(each)
     require(not welcomes(peer), "a bent HELLO was welcome")

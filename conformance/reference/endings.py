@@ -1,6 +1,7 @@
-"""Cases 534…539: what the arm does when a session ends, by BYE or by a restart of its client (7.5)."""
+"""Cases 529 and 534…539: what the arm does when a session ends, by silence, BYE or a restart (7.5)."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 
 from conformance.case import reference
 from conformance.peer import Peer
@@ -56,20 +57,37 @@ def require_dropped(peer: Peer, after: str) -> None:
     require_reason(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
 
 
-@case(534, "7.5", "BYE in motion stops the arm and latches; the next session finds it so", motion=True)
-def bye_in_motion(peer: Peer) -> None:
-    moving(peer)
-    peer.leave()
-    come_back(peer, "BYE in motion")
-    require_latched(peer, "BYE in motion")
+def _silence(peer: Peer) -> None:
+    peer.collect(peer.timeout_ms + 1500, beating=False)
 
 
-@case(535, "7.5", "a restart in place in motion stops the arm: what was asked for is not the new session's",
-      motion=True)  # fmt: skip
-def restart_in_motion(peer: Peer) -> None:
+def _end_in_motion(end: Callable[[Peer], None], after: str, peer: Peer) -> None:
     moving(peer)
-    come_back(peer, "a restart in motion")
-    require_latched(peer, "a restart in motion")
+    end(peer)
+    come_back(peer, after)
+    require_latched(peer, after)
+
+
+def _end_in_standby(end: Callable[[Peer], None], after: str, peer: Peer) -> None:
+    standby(peer)
+    end(peer)
+    peer.open(period_ms=20)
+    require_dropped(peer, after)
+
+
+for _number, _ended, _end, _after, _title in (
+    (529, _end_in_motion, _silence, "a lost link",
+     "a lost link in motion stops the arm; nothing resumes by itself"),
+    (534, _end_in_motion, Peer.leave, "BYE in motion",
+     "BYE in motion stops the arm and latches; the next session finds it so"),
+    (535, _end_in_motion, Peer.drain, "a restart in motion",
+     "a restart in place in motion stops the arm: what was asked for is not the new session's"),
+    (537, _end_in_standby, Peer.leave, "BYE in STANDBY",
+     "BYE in STANDBY drops the enable without a fault"),
+    (538, _end_in_standby, Peer.drain, "a restart in STANDBY",
+     "a restart in place in STANDBY drops the enable without a fault"),
+):  # fmt: skip
+    case(_number, "7.5", _title, motion=True)(partial(_ended, _end, _after))
 
 
 @case(
@@ -84,20 +102,6 @@ def hello_in_motion(peer: Peer) -> None:
     require_shown(peer.state(), "after HELLO alone", group_state=moves, fault=sound)
     require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
     reach(peer, GroupState.STANDBY, "after STOP")
-
-
-@case(537, "7.5", "BYE in STANDBY drops the enable without a fault", motion=True)
-def bye_in_standby(peer: Peer) -> None:
-    standby(peer)
-    peer.reopen(period_ms=20)
-    require_dropped(peer, "BYE in STANDBY")
-
-
-@case(538, "7.5", "a restart in place in STANDBY drops the enable without a fault", motion=True)
-def restart_in_standby(peer: Peer) -> None:
-    standby(peer)
-    peer.open(period_ms=20)
-    require_dropped(peer, "a restart in STANDBY")
 
 
 @case(
@@ -136,8 +140,7 @@ def _resets(peer: Peer, count: int = FLOOD) -> Iterable[Command]:
 def _latched_state(peer: Peer, behind: str) -> State:
     """The first STATE with the emergency latched, after EMERGENCY_STOP was sent and repeated."""
     request = Command(peer.new_id(), CommandCode.EMERGENCY_STOP)
-    until_ns = peer.now_ns + LATCHED_MS * MS
-    while peer.now_ns < until_ns:
+    for _ in peer.within(LATCHED_MS):
         peer.send(request)
         for datagram in peer.collect(REPEAT_MS):
             state = datagram.message
@@ -149,8 +152,7 @@ def _latched_state(peer: Peer, behind: str) -> State:
 def _answers_until(peer: Peer, request: Request, within_ms: float) -> list[Acknowledgement]:
     """All acknowledgements, in order, until that of ``request``, which is sent and repeated."""
     answers: list[Acknowledgement] = []
-    until_ns = peer.now_ns + int(within_ms * MS)
-    while peer.now_ns < until_ns:
+    for _ in peer.within(within_ms):
         peer.send(request)
         answers += [d.message for d in peer.collect(REPEAT_MS) if isinstance(d.message, Acknowledgement)]
         if any(answer.command_id == request.command_id for answer in answers):

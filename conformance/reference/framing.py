@@ -27,6 +27,11 @@ MAJOR, KIND, FLAGS = 4, 6, 8
 COMMAND_BYTES = 16
 
 
+def flags_of(data: bytes) -> int:
+    """The flags in the header of a datagram."""
+    return int.from_bytes(data[FLAGS : FLAGS + 2], "little")
+
+
 def stop(peer: Peer) -> Command:
     """A command that every controller accepts in every state (7.3)."""
     return Command(peer.new_id(), CommandCode.STOP)

@@ -247,14 +247,6 @@ def require_latched(peer: Peer, after: str) -> None:
     require(reach(peer, GroupState.DISABLED, "after RESET").fault is FaultCode.NONE, "RESET left a fault")
 
 
-@case(529, "7.5", "a lost link in motion stops the arm; nothing resumes by itself", motion=True)
-def lost_in_motion(peer: Peer) -> None:
-    moving(peer)
-    peer.collect(peer.timeout_ms + 1500, beating=False)
-    peer.open(period_ms=20)
-    require_latched(peer, "a lost link")
-
-
 @case(532, "6.8", "a path is driven through its waypoints in order", motion=True, needs=PATHS)
 def path(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd

@@ -20,7 +20,7 @@ from conformance.reference.motion import (
     require_reason,
     require_shown,
 )
-from conformance.wire import ANSWER_MS, MS, Unsupported, require
+from conformance.wire import ANSWER_MS, Unsupported, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import (
@@ -58,8 +58,7 @@ class Stream:
     def feed(self, pose: Pose, wait_ms: float) -> list[State]:
         """References to ``pose`` for ``wait_ms``, none of them refused; the states that came meanwhile."""
         states = []
-        until_ns = self.peer.now_ns + int(wait_ms * MS)
-        while self.peer.now_ns < until_ns:
+        for _ in self.peer.within(wait_ms):
             self.give(pose)
             for datagram in self.peer.collect(FEED_MS):
                 message = datagram.message
@@ -167,8 +166,7 @@ def refused_is_silence(peer: Peer) -> None:
     stream, state = opened(peer)
     stream.feed(state.X_BT_cmd, 200.0)
     nan = Pose((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    until_ns = peer.now_ns + 1000 * MS
-    while peer.now_ns < until_ns:
+    for _ in peer.within(1000):
         stream.give(nan)
         peer.collect(FEED_MS)
     seen = peer.state()

@@ -77,15 +77,10 @@ class CampaignRequest(NamedTuple):
     json_file: JsonFile = None
 
 
-class Campaign(NamedTuple):
-    """One row for each task, in their order; ``reused`` of them were there already."""
-
-    rows: list[Row]
-    reused: int
-
-
-def run_campaign(request: CampaignRequest, run: Run, tasks: Sequence[Task], title: str) -> Campaign:
-    """The rows of ``tasks``; those that ``request.out/rows.csv`` lacks are measured now.
+def run_campaign(
+    request: CampaignRequest, run: Run, tasks: Sequence[Task], title: str
+) -> tuple[list[Row], int]:
+    """A row for each of ``tasks``, in their order, and how many ``request.out/rows.csv`` had already.
 
     ``run`` (importable by name) turns a configuration directory and a flat task with a unique ``key`` into a
     flat row. Each row gets what is in its task, ``configuration``, ``failure`` (None, or the cause and what
@@ -93,8 +88,8 @@ def run_campaign(request: CampaignRequest, run: Run, tasks: Sequence[Task], titl
     failed by no fault of its own (its worker died, or the program broke).
 
     Raises ConfigurationError for a key given twice, a malformed address and a directory that cannot be made
-    (``output.unwritable``), LinkLost when the scheduler does not answer, has no workers, or goes away; the
-    rows done until then are in the file.
+    (``output.unwritable``), LinkLost when the scheduler does not answer or goes away; the rows done until
+    then are in the file.
     """
     evidence = evidence_of(run, request.config_dir)
     names = [(task["key"], configuration_of(evidence, task)) for task in tasks]
@@ -119,7 +114,7 @@ def run_campaign(request: CampaignRequest, run: Run, tasks: Sequence[Task], titl
                 rows.append(task | {"configuration": configurations[task["key"]]} | row)
                 write_rows(path, rows)
     newest = {_name(row): row for row in read_rows(path)}
-    return Campaign([newest[name] for name in names], len(tasks) - len(to_do))
+    return [newest[name] for name in names], len(tasks) - len(to_do)
 
 
 def _name(row: Row) -> tuple[str, str]:

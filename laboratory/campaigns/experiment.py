@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -48,12 +47,10 @@ def at_most(what: str, value: float, limit: float | None, unit: str = "") -> Che
     return Check(what, f"{value:.3f} {unit}".rstrip(), goal, None if limit is None else bool(value <= limit))
 
 
-def inside(what: str, value: float, band: tuple[float, float] | None) -> Check:
-    """A figure that is to lie in ``band``; None: for information. NaN was not measured, so it is not met."""
-    goal = "" if band is None else f"{band[0]:.3f} to {band[1]:.3f}"
-    if not np.isfinite(value):
-        return Check(what, "not measured", goal, False)
-    return Check(what, f"{value:.3f}", goal, None if band is None else bool(band[0] <= value <= band[1]))
+def inside(what: str, value: float, band: tuple[float, float]) -> Check:
+    """A figure that is to lie in ``band``; NaN was not measured, so it is not met."""
+    found = f"{value:.3f}" if np.isfinite(value) else "not measured"
+    return Check(what, found, f"{band[0]:.3f} to {band[1]:.3f}", bool(band[0] <= value <= band[1]))
 
 
 class NoSettings(NamedTuple):
@@ -70,17 +67,12 @@ class Finished(NamedTuple, Generic[S]):
     reused: int
 
 
-def nothing(done: Finished[Any]) -> dict[str, Any]:
-    """No figures, no pictures."""
-    return {}
-
-
 @dataclass(frozen=True)
 class Experiment(Generic[S]):
     """``tasks`` makes the runs asked for, ``run`` measures one, the others judge all rows.
 
-    ``settings``: a NamedTuple of options, annotated for the command line. ``tables``, ``plot`` (name →
-    figure) and ``results`` (for JSON) show the rows, ``verdict`` compares them with limits. ``runs``,
+    ``settings``: a NamedTuple of options, annotated for the command line. ``tables`` and ``plot`` (name →
+    figure) show the rows, ``verdict`` compares them with limits. ``runs``,
     ``seed``: the defaults. ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is
     shorter than the start of a worker.
     """
@@ -92,24 +84,17 @@ class Experiment(Generic[S]):
     tables: Callable[[Finished[S]], Sequence[Table]]
     verdict: Callable[[Finished[S]], Sequence[Check]]
     runs: int
-    plot: Callable[[Finished[S]], "Mapping[str, Figure]"] = nothing
-    results: Callable[[Finished[S]], Mapping[str, Any]] = nothing
+    plot: Callable[[Finished[S]], "Mapping[str, Figure]"] = lambda _: {}
     seed: int = 1
     world: str = ""
     eyes: str = ""
     workers: int = 2
 
-    @property
-    def directory(self) -> Path:
-        """Where the rows are kept, unless the request says otherwise."""
-        return Path("runs") / self.name
-
 
 def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) -> bool:
     """Whether every limit was met; tables and verdict are printed, rows and pictures in ``request.out``."""
     tasks = experiment.tasks(request, settings)
-    campaign = run_campaign(request, experiment.run, tasks, experiment.name)
-    done = Finished(request, settings, tasks, *campaign)
+    done = Finished(request, settings, tasks, *run_campaign(request, experiment.run, tasks, experiment.name))
     for made in (*experiment.tables(done), *_failures(done.rows)):
         out.print(made)
     checks, conditions = experiment.verdict(done), _conditions(experiment, done)
@@ -126,10 +111,10 @@ def perform(experiment: Experiment[S], request: CampaignRequest, settings: S) ->
         "passed": passed,
         "checks": checks,
         "conditions": conditions,
-        "reused": campaign.reused,
-        "rows": campaign.rows,
+        "reused": done.reused,
+        "rows": done.rows,
     }
-    write_json(request.json_file, results | dict(experiment.results(done)))
+    write_json(request.json_file, results)
     return passed
 
 
@@ -148,14 +133,9 @@ def _conditions(experiment: Experiment[S], done: Finished[S]) -> str:
 
 
 def _failures(rows: Sequence[Row]) -> list[Table]:
-    """The causes of failed runs, how often each, and the key of one of them; no table where none failed."""
-    causes = failure_counts(row["failure"] for row in rows)
-    cells = []
-    for cause, count in causes:
-        first = next(row for row in rows if str(row["failure"]).startswith(cause))
-        cells.append((cause, count, first["key"], str(first["failure"]).splitlines()[0]))
-    headings = ("cause", "runs", "such as", "")
-    return [table("runs that failed, and count as failed above", headings, cells)] if cells else []
+    """The causes of failed runs, and how often each; no table where none failed."""
+    cells = failure_counts(row["failure"] for row in rows)
+    return [table("runs that failed, and count as failed above", ("cause", "runs"), cells)] if cells else []
 
 
 def failure_counts(failures: Iterable[str | None]) -> list[tuple[str, int]]:

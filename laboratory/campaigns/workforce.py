@@ -5,7 +5,7 @@ import signal
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from itertools import islice
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,7 @@ import cv2
 import dask
 import distributed as untyped
 import numba
-from distributed.client import FuturesCancelledError
 from distributed.comm.addressing import parse_address, parse_host_port
-from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from laboratory.campaigns.rows import Row
@@ -33,9 +31,7 @@ AGAIN = "campaign."
 """Begins the causes that say nothing about the run itself: a resumed campaign tries it again."""
 
 REACH_S = 3.0  # a scheduler that does not answer by then is not there
-_WORKERS_S = 20.0  # for the first worker of a scheduler to be there
 _MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
-_PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
 SPAWN_ENVIRONMENT = {
     "OMP_NUM_THREADS": 1,
     "OPENBLAS_NUM_THREADS": 1,
@@ -49,6 +45,7 @@ _QUIET = {
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,  # a paused worker would wait for ever: its memory is one run's
+    "distributed.scheduler.worker-saturation": 1.0,  # no run waits on a worker that another one may end
     "distributed.scheduler.allowed-failures": 1,  # a run that ends its worker twice would do so again
     "distributed.scheduler.worker-ttl": None,  # compiled kernels may keep a worker from answering for long
     "distributed.comm.timeouts.connect": "120s",  # on a busy machine a worker takes its time to start
@@ -78,7 +75,7 @@ def results(
     """Each task with its row, as they are done, under a bar called ``title``.
 
     With ``scheduler`` the runs go to its cluster; else to ``workers`` processes, or none: they are made here.
-    Raises LinkLost when nobody is there or everybody has gone, ConfigurationError for a malformed address.
+    Raises LinkLost when no scheduler is there or it has gone, ConfigurationError for a malformed address.
     """
     made = ((task, _run(function, task)) for task in tasks)
     if scheduler is not None or workers:
@@ -97,43 +94,21 @@ def _distribute(
     function: Callable[[Task], Row], tasks: Sequence[Task], scheduler: str | None, workers: int
 ) -> Generator[tuple[Task, Row], None, None]:
     with dask.config.set(_QUIET), _client(scheduler, workers) as client:
-        # No more at once than are worked on: what is done and not yet fetched dies with its worker.
-        waiting, under_way = iter(tasks), dict[Any, Task]()
-        places = sum(client.nthreads().values()) * (1 if scheduler is None else 2)
-        while True:
-            for task in islice(waiting, places - len(under_way)):
-                under_way[client.submit(_run, function, task, pure=False)] = task
-            if not under_way:
-                return
-            future = _first_done(client, list(under_way))
-            yield under_way.pop(future), _outcome(future)
-
-
-def _first_done(client: Any, futures: Sequence[Any]) -> Any:
-    """The first of ``futures`` that has ended, however. Raises LinkLost when nobody works on them."""
-    while True:
-        ended = [future for future in futures if future.status != "pending"]
-        if ended:
-            return ended[0]
-        try:
-            with client.as_current():
-                distributed.wait(futures, timeout=_PATIENCE_S, return_when="FIRST_COMPLETED")
-        except (TimeoutError, FuturesCancelledError):  # cancelled: the loop above sees which
-            if not client.scheduler_info(n_workers=-1)["workers"]:
-                why = "no worker is left; the rows done until then are kept"
-                raise LinkLost("link.workers_lost", why) from None
+        futures = client.map(partial(_run, function), tasks, pure=False)
+        task_of = dict(zip(futures, tasks, strict=True))
+        for future in distributed.as_completed(futures, loop=client.loop):
+            yield task_of[future], _outcome(future)
 
 
 def _outcome(future: Any) -> Row:
     """What a finished future holds. Raises LinkLost when its scheduler has gone away."""
-    if future.status in ("cancelled", "lost"):
-        raise LinkLost("link.scheduler_lost", "the scheduler went away; the rows done until then are kept")
     try:
-        row: Row = future.result(timeout=REACH_S)
+        row: Row = future.result()
     except KilledWorker as error:
         return {"failure": f"{AGAIN}worker_lost: {error}"}
-    except (OSError, CommClosedError) as error:
-        raise LinkLost("link.scheduler_lost", f"the scheduler went away: {error}") from error
+    except (distributed.CancelledError, OSError) as error:
+        why = "the scheduler went away; the rows done until then are kept"
+        raise LinkLost("link.scheduler_lost", why) from error
     return row
 
 
@@ -152,28 +127,23 @@ def _ctrl_c_held_back() -> Iterator[None]:
 def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
     """A client of the scheduler; where none is named, of ``workers`` on loopback that are ended with it.
 
-    Raises LinkLost (``link.workers_not_started``), and as ``_client_of``.
+    Raises as ``_client_of``.
     """
     if scheduler is not None:
         with _client_of(scheduler) as client:
             yield client
         return
-    try:
-        with _ctrl_c_held_back():  # workers inherit it: the client alone acts on Ctrl-C
-            cluster = distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": False},
-                memory_limit=_MEMORY_LIMIT,
-                silence_logs=logging.CRITICAL,
-            )
-    except (OSError, RuntimeError) as error:
-        raise LinkLost(
-            "link.workers_not_started", f"{workers} workers could not be started: {error}"
-        ) from error
+    with _ctrl_c_held_back():  # workers inherit it: the client alone acts on Ctrl-C
+        cluster = distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=_MEMORY_LIMIT,
+            silence_logs=logging.CRITICAL,
+        )
     try:
         with distributed.Client(cluster, set_as_default=False) as client:
             yield client
@@ -182,12 +152,11 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
             cluster.close()
 
 
-@contextmanager
-def _client_of(scheduler: str) -> Iterator[Any]:
-    """A client of the scheduler at ``scheduler``, which has at least one worker."""
+def _client_of(scheduler: str) -> Any:
+    """A client of the scheduler at ``scheduler``; its runs wait until it has a worker."""
     try:
         parse_host_port(parse_address(scheduler, strict=True)[1])  # before a client is made that cannot be
-        client = distributed.Client(scheduler, timeout=REACH_S, set_as_default=False)
+        return distributed.Client(scheduler, timeout=REACH_S, set_as_default=False)
     except ValueError as error:
         raise ConfigurationError(
             "configuration.bad_address", f"scheduler '{scheduler}': {error}; wanted such as tcp://host:8786"
@@ -196,12 +165,3 @@ def _client_of(scheduler: str) -> Iterator[Any]:
         raise LinkLost(
             "link.scheduler_unreachable", f"scheduler {scheduler} does not answer within {REACH_S:g} s"
         ) from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_WORKERS_S)
-        except TimeoutError as error:
-            raise LinkLost(
-                "link.scheduler_without_workers",
-                f"scheduler {scheduler} has no worker after {_WORKERS_S:g} s",
-            ) from error
-        yield client

@@ -23,10 +23,10 @@ def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> No
 def test_each_method_has_its_own_defaults_and_takes_its_own_options_alone(tmp_path: Path) -> None:
     corrected, programs = (CATALOGUE["positioning"].load(name) for name in ("corrected", "programs"))
     assert (corrected.runs, programs.runs) == (200, 20)
-    words = ["experiment", "hua", "--largest", "3", "--out", str(tmp_path)]
-    refused = CliRunner().invoke(app, [*words, "--method", "stress"])
+    words = ["experiment", "positioning", "--looks", "3", "--out", str(tmp_path)]
+    refused = CliRunner().invoke(app, [*words, "--method", "corrected"])
     assert refused.exit_code == 2
-    assert "--largest is not an option of --method stress" in refused.stderr
+    assert "--looks is not an option of --method corrected" in refused.stderr
 
 
 def test_a_verdict_is_met_or_not_by_each_limit_and_says_the_conditions(tmp_path: Path) -> None:

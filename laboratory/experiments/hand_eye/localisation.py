@@ -8,6 +8,8 @@ truth is known.
 """
 
 import math
+from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +26,7 @@ from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.se3 import Array
 
 PAPER_MM = {"tsai": 4.4, "horaud": 4.0, "daniilidis": 3.4, "dqcr": 2.9}
-PAPER_RECOGNITION = {"tsai": 79.0, "horaud": 83.0, "daniilidis": 88.0, "dqcr": 91.0}
+PAPER_RECOGNITION = {"tsai": "79 %", "horaud": "83 %", "daniilidis": "88 %", "dqcr": "91 %"}
 TARGETS = ((0.10, 0.15, 0.02), (-0.12, 0.10, 0.01), (0.05, -0.14, 0.0))  # knob, switch, key hole; m
 PAPER_K = np.array([[881.21, 0.0, 640.0], [0.0, 884.22, 360.0], [0.0, 0.0, 1.0]])
 MARKER_M = 0.05
@@ -40,36 +42,8 @@ POINT_M = (0.3e-3, 0.3e-3, 1e-3)
 TOLERANCE_MM = 3.0
 
 
-class LocalisationRow(NamedTuple):
-    """One method over all calibrations, targets and repetitions; millimetres.
-
-    ``error_mm`` mean length of the error, ``lowest_mm`` and ``highest_mm`` the 5 % and 95 % quantiles of
-    the mean of a calibration, ``from_calibration_mm`` what X alone contributes, ``recognised_percent``
-    the share within the key hole's clearance, ``paper_*`` the paper's figures.
-    """
-
-    method: str
-    samples: str
-    error_mm: float
-    lowest_mm: float
-    highest_mm: float
-    from_calibration_mm: float
-    recognised_percent: float
-    failed: int
-    paper_mm: float | None
-    paper_recognised_percent: float | None
-
-
-class LocalisedTarget(NamedTuple):
-    """One method in one calibration: errors of the whole chain and of X alone (tasks, repetitions), mm.
-
-    Both are None when the method failed.
-    """
-
-    method: str
-    samples: str
-    total: Any
-    bias: Any
+Errors = dict[tuple[str, str], Array]
+"""Method and samples → errors (calibrations, targets, repetitions), mm; NaN where the method failed."""
 
 
 def calibration_row(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
@@ -77,36 +51,16 @@ def calibration_row(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng([task["seed"], task["run"]])
     scene, taken, kept = simulated_session(rng)
     points = _repetitions(scene, task["repetitions"], rng)
-    entries = []
-    for name, samples, X in _calibrations(taken, kept):
-        errors = [None, None] if X is None else _localisation_errors(points, X, scene.X)
-        entries.append([name, samples, *(None if e is None else np.round(e, 5).tolist() for e in errors)])
-    return {"entries": entries}
+    found = _calibrations(taken, kept)
+    return {"entries": [[*key, np.round(_located_mm(points, X, scene.X), 5)] for *key, X in found]}
 
 
-def rows_of(calibrations: list[list[Any]]) -> list[LocalisationRow]:
-    """A row for each method and choice of samples, of the ``entries`` of all calibrations."""
-    entries = [LocalisedTarget(*entry) for each in calibrations for entry in each]
-    rows = []
-    for key in dict.fromkeys(entry[:2] for entry in entries if entry.total is not None):
-        mine = [entry for entry in entries if entry[:2] == key]
-        ended = [entry for entry in mine if entry.total is not None]
-        errors = np.array([entry.total for entry in ended])
-        low, high = np.quantile(errors.mean(axis=(1, 2)), (0.05, 0.95))
-        rows.append(
-            LocalisationRow(
-                *key,
-                error_mm=float(errors.mean()),
-                lowest_mm=float(low),
-                highest_mm=float(high),
-                from_calibration_mm=float(np.mean([entry.bias for entry in ended])),
-                recognised_percent=100.0 * float((errors <= TOLERANCE_MM).mean()),
-                failed=len(mine) - len(ended),
-                paper_mm=PAPER_MM.get(key[0]),
-                paper_recognised_percent=PAPER_RECOGNITION.get(key[0]),
-            )
-        )
-    return rows
+def errors_of(calibrations: Iterable[list[list[Any]]]) -> Errors:
+    """The errors in the ``entries`` of all calibrations."""
+    errors: dict[tuple[str, str], list[Any]] = {}
+    for method, samples, mm in chain(*calibrations):
+        errors.setdefault((method, samples), []).append(mm)
+    return {key: np.array(mm, dtype=np.float64) for key, mm in errors.items()}
 
 
 def simulated_session(rng: np.random.Generator) -> tuple[HandEyeScene, PosePairs, PosePairs]:
@@ -154,7 +108,7 @@ def _pose_of(points: Array, pixels: Array) -> Array:
     )
 
 
-def _calibrations(taken: PosePairs, kept: PosePairs) -> list[tuple[str, str, Array | None]]:
+def _calibrations(taken: PosePairs, kept: PosePairs) -> list[tuple[str, str, Array]]:
     """X of every method on the samples kept by hand, and of some on all samples too."""
     on_all = (Method.HORAUD, Method.DQCR, Method.ROBUST)
     return [
@@ -163,11 +117,12 @@ def _calibrations(taken: PosePairs, kept: PosePairs) -> list[tuple[str, str, Arr
     ]
 
 
-def _solve(pairs: PosePairs, method: Method) -> Array | None:
+def _solve(pairs: PosePairs, method: Method) -> Array:
+    """X (4, 4), NaN where the method refuses."""
     try:
         return methods.solve(pairs, method).X
     except MeasurementFailed:
-        return None
+        return np.full((4, 4), np.nan)
 
 
 class _Points(NamedTuple):
@@ -195,14 +150,10 @@ def _repetitions(scene: HandEyeScene, repetitions: int, rng: np.random.Generator
     return found
 
 
-def _localisation_errors(points: list[_Points], X: Array, X_true: Array) -> tuple[Array, Array]:
-    """Errors (targets, repetitions) in mm: of the whole chain, and of X alone with all else true."""
-    total, bias = [], []
-    for p in points:
-        truth = _through(p.X_BT, X_true, p.true)
-        total.append(1e3 * np.linalg.norm(_through(p.X_BT_reported, X, p.measured) - truth, axis=1))
-        bias.append(1e3 * np.linalg.norm(_through(p.X_BT, X, p.true) - truth, axis=1))
-    return np.array(total), np.array(bias)
+def _located_mm(points: list[_Points], X: Array, X_true: Array) -> Array:
+    """Errors (targets, repetitions) of the whole chain, mm."""
+    offs = [_through(p.X_BT_reported, X, p.measured) - _through(p.X_BT, X_true, p.true) for p in points]
+    return np.asarray(1e3 * np.linalg.norm(offs, axis=-1))
 
 
 def _through(X_BT: Array, X: Array, points: Array) -> Array:

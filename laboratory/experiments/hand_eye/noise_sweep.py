@@ -44,14 +44,13 @@ class SweepRow(NamedTuple):
 class SolverAttempt(NamedTuple):
     """One method in one run: its error (6,) of X, None where it refused or gave no proper pose.
 
-    ``improper``: NaN or a left-handed rotation; ``bad_found``, ``good_lost``: samples that were left out.
+    ``improper``: NaN or a left-handed rotation; ``bad_found``: of the bad samples, how many were left out.
     """
 
     method: str
     error: list[float] | None = None
     improper: bool = False
     bad_found: int = 0
-    good_lost: int = 0
     nees: float | None = None
     eigenvalue: float | None = None
 
@@ -69,9 +68,9 @@ def attempt(pairs: PosePairs, method: Method, truth: Array, bad: Collection[str]
     dropped = {name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier}
     error = se3.local(result.X, truth)
     nees = None if covariance is None else float(error @ np.linalg.solve(covariance, error))
-    found = len(dropped.intersection(bad)), len(dropped.difference(bad))
+    found = len(dropped.intersection(bad))
     least = None if certificate is None else certificate.least_eigenvalue
-    return SolverAttempt(result.method, error.tolist(), False, *found, nees, least)
+    return SolverAttempt(result.method, error.tolist(), False, found, nees, least)
 
 
 def sizes(attempts: Sequence[SolverAttempt]) -> tuple[Array, Array]:

@@ -131,7 +131,11 @@ def measured_with_bad(
     or a pose from another time gives.
     """
     count = len(scene.X_BT)
-    P = stacks.transform(*_disturbed_left(scene.P(), n.camera_rotation, n.camera_translation, rng))
+    true_P = scene.P()
+    turn = stacks.exp_so3(rng.normal(size=(count, 3)) * n.camera_rotation)
+    P = stacks.transform(
+        turn @ true_P[:, :3, :3], true_P[:, :3, 3] + rng.normal(size=(count, 3)) * n.camera_translation
+    )
     hand_turn = stacks.exp_so3(rng.normal(size=(count, 3)) * n.robot_rotation)
     X_BT = stacks.transform(
         scene.X_BT[:, :3, :3] @ hand_turn,
@@ -144,13 +148,6 @@ def measured_with_bad(
         shift = aim / np.linalg.norm(aim) * rng.uniform(0.05, 0.3)
         P[k] = stacks.transform(stacks.exp_so3(turn) @ P[k, :3, :3], P[k, :3, 3] + shift)
     return pose_pairs(X_BT, P, Setup.EYE_IN_HAND), {str(k + 1) for k in spoiled}
-
-
-def _disturbed_left(
-    X: Array, rotation: float, translation: float, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    turn = stacks.exp_so3(rng.normal(size=(len(X), 3)) * rotation)
-    return turn @ X[:, :3, :3], X[:, :3, 3] + rng.normal(size=(len(X), 3)) * translation
 
 
 class Bound(NamedTuple):

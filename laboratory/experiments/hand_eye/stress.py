@@ -44,11 +44,9 @@ class StressRow(NamedTuple):
     rotation_median_deg: float
     translation_median_mm: float
     translation_rms_mm: float
-    bound_translation_mm: float
     refused: int
     improper: int
     found: float
-    wrongly_dropped: float
 
 
 def stress_tasks(request: CampaignRequest, settings: NoSettings) -> list[Task]:
@@ -62,38 +60,33 @@ def stress_tasks(request: CampaignRequest, settings: NoSettings) -> list[Task]:
 
 
 def block_row(_config_dir: Path, task: Task) -> dict[str, Any]:
-    """A campaign's row: ``count`` runs of the trial ``trial`` from ``first`` on, and each run's bound."""
+    """A campaign's row: ``count`` runs of the trial ``trial`` from ``first`` on."""
     runs = range(task["first"], task["first"] + task["count"])
-    attempts, bounds = attempted(TRIALS[task["trial"]], runs, task["seed"])
-    return {"attempts": [list(each) for each in attempts], "bounds": bounds}
+    return {"attempts": [list(each) for each in attempted(TRIALS[task["trial"]], runs, task["seed"])]}
 
 
 def attempted(
     trial: StressTrial, runs: Iterable[int], seed: int, only: Sequence[Method] = tuple(Method)
-) -> tuple[list[SolverAttempt], list[list[float]]]:
-    """Every method, or ``only`` some, in each of the runs, and the bound of the good samples in each."""
+) -> list[SolverAttempt]:
+    """Every method, or ``only`` some, in each of the runs."""
     n = scenes.noise(trial.rotation_deg, trial.translation_mm)
     attempts: list[SolverAttempt] = []
-    bounds = []
     for run in runs:
         rng = np.random.default_rng([seed, run])
         scene = trial.scene(rng, trial.samples)
         pairs, spoiled = scenes.measured_with_bad(scene, n, rng, trial.bad)
-        good = np.array([k for k in range(trial.samples) if str(k + 1) not in spoiled])
-        bounds.append(list(scenes.bound(scene._replace(X_BT=scene.X_BT[good]), n)))
         attempts += [attempt(pairs, method, scene.X, spoiled) for method in only]
-    return attempts, bounds
+    return attempts
 
 
-def rows_of(trial: StressTrial, attempts: Sequence[SolverAttempt], bounds: Sequence[Any]) -> list[StressRow]:
+def rows_of(trial: StressTrial, attempts: Sequence[SolverAttempt]) -> list[StressRow]:
     """A row for each method."""
-    bound_mm = float(np.sqrt(np.mean(np.square(np.array(bounds)[:, 1]))))
     rows = []
     for method in dict.fromkeys(one.method for one in attempts):
         mine = [one for one in attempts if one.method == method]
         ended = [one for one in mine if one.error is not None]
         shift, turn = sizes(mine)
-        improper, runs = sum(one.improper for one in mine), max(len(ended), 1)
+        improper = sum(one.improper for one in mine)
         rows.append(
             StressRow(
                 method,
@@ -101,11 +94,9 @@ def rows_of(trial: StressTrial, attempts: Sequence[SolverAttempt], bounds: Seque
                 float(np.median(turn)),
                 float(np.median(shift)),
                 float(np.sqrt(np.mean(shift**2))),
-                bound_mm,
                 len(mine) - len(ended) - improper,
                 improper,
-                sum(one.bad_found for one in ended) / max(trial.bad * runs, 1),
-                sum(one.good_lost for one in ended) / ((trial.samples - trial.bad) * runs),
+                sum(one.bad_found for one in ended) / max(trial.bad * len(ended), 1),
             )
         )
     return rows
@@ -115,9 +106,8 @@ def _by_trial(done: Finished[NoSettings]) -> dict[str, list[StressRow]]:
     demand_all(done.rows)
     made = {}
     for name, trial in TRIALS.items():
-        blocks = [row for row in done.rows if row["trial"] == name]
-        attempts = [SolverAttempt(*each) for block in blocks for each in block["attempts"]]
-        made[name] = rows_of(trial, attempts, [bound for block in blocks for bound in block["bounds"]])
+        blocks = [row["attempts"] for row in done.rows if row["trial"] == name]
+        made[name] = rows_of(trial, [SolverAttempt(*each) for block in blocks for each in block])
     return made
 
 
@@ -128,11 +118,9 @@ def stress_tables(done: Finished[NoSettings]) -> list[Table]:
         "median deg": "{rotation_median_deg:.4f}",
         "median mm": "{translation_median_mm:.2f}",
         "rms mm": "{translation_rms_mm:.2f}",
-        "bound mm": "{bound_translation_mm:.2f}",
         "refused": "{refused}",
         "improper": "{improper}",
         "bad found": "{found:.1%}",
-        "good lost": "{wrongly_dropped:.1%}",
     }
     return [listed(f"{name}, {rows[0].runs} runs", columns, rows) for name, rows in _by_trial(done).items()]
 
@@ -161,7 +149,6 @@ STRESS = Experiment(
     run=block_row,
     tables=stress_tables,
     verdict=stress_verdict,
-    results=lambda done: {"trials": _by_trial(done)},
     runs=200,
     world="drawn scenes",
     eyes="none: poses with noise",

@@ -13,17 +13,14 @@ import typer
 from matplotlib.figure import Figure
 from rich import table as rich
 
-from foundation.configuration import merged, parse_overrides
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Check, Experiment, Finished, seeds
 from laboratory.campaigns.rows import Row
 from laboratory.campaigns.workforce import Task
 from laboratory.experiments.paper import comparison, figures
-from laboratory.experiments.paper.comparison import FACTOR, TABLES, Compared, Conclusion
-from laboratory.experiments.paper.measurement import measure, trace
-from testbed.cli.options import Scenario
-from testbed.cli.options import Settings as Assignments
-from testbed.reporting.console import out, table
+from laboratory.experiments.paper.comparison import FACTOR, TABLES, Compared
+from laboratory.experiments.paper.measurement import SCENARIO, measure, trace
+from testbed.reporting.console import table
 from testbed.scenarios.scenario import load_scenario, load_settings
 
 
@@ -39,7 +36,7 @@ PaperPart = StrEnum("PaperPart", {name: name for name in (*TABLES, *figures.KIND
 
 
 class PaperSettings(NamedTuple):
-    """What of the paper, the world that is measured in, and what measures."""
+    """What of the paper, and what measures."""
 
     part: Annotated[
         list[PaperPart] | None, typer.Option(help="Only this table or figure; repeatable. Usually all.")
@@ -51,8 +48,6 @@ class PaperSettings(NamedTuple):
             "markers; model: no pictures, errors as measured from them."
         ),
     ] = PaperEyes.OPENCV
-    scenario: Scenario = "paper"
-    assignments: Assignments = None
 
     @property
     def tables(self) -> list[str]:
@@ -67,16 +62,12 @@ class PaperSettings(NamedTuple):
 
 def paper_task(config_dir: Path, settings: PaperSettings, kind: str, seed: int) -> Task:
     """The task of one measurement. Raises ConfigurationError when its configuration is wrong."""
-    chosen = settings.assignments or []
-    drawn = load_scenario(config_dir, settings.scenario).world(seed)
-    load_settings(config_dir, merged(drawn, parse_overrides(chosen)))
+    load_settings(config_dir, load_scenario(config_dir, SCENARIO).world(seed))
     return {
         "key": f"{kind}-{settings.eyes}-{seed}",
         "kind": kind,
-        "scenario": settings.scenario,
         "seed": seed,
         "eyes": str(settings.eyes),
-        "assignments": chosen,
     }
 
 
@@ -101,24 +92,13 @@ def _comparisons(done: Finished[PaperSettings]) -> dict[str, list[Compared]]:
     return {name: comparison.compared(name, rows[TABLES[name].kind]) for name in done.settings.tables}
 
 
-def _conclusions(done: Finished[PaperSettings]) -> dict[str, list[Conclusion]]:
-    rows = by_kind(done)
-    return {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in done.settings.tables}
-
-
 def paper_tables(done: Finished[PaperSettings]) -> list[rich.Table]:
     """The paper's figures and ours, side by side."""
     headings = (
         "",
         "",
         "paper",
-        "5 %",
-        "median",
-        "95 %",
         "ours",
-        "σ",
-        "5 %",
-        "95 %",
         "runs",
         "ratio",
         "means",
@@ -131,34 +111,29 @@ def paper_tables(done: Finished[PaperSettings]) -> list[rich.Table]:
 
 def paper_verdict(done: Finished[PaperSettings]) -> list[Check]:
     """Means within a factor of the paper's, and the paper's conclusions."""
-    checks, band = [], f"{1.0 / FACTOR:g} to {FACTOR:g}"
+    checks, band, rows = [], f"{1.0 / FACTOR:g} to {FACTOR:g}", by_kind(done)
     for name, beside in _comparisons(done).items():
         title = TABLES[name].title.partition(":")[0]
         checks += [
-            Check(f"{title}, {c.part}, {c.name}: mean over the paper's", f"{c.ratio:.2f}", band, c.reached)
+            Check(f"{title}, {c.part}, {c.axis}: mean over the paper's", f"{c.ratio:.2f}", band, c.reached)
             for c in beside
             if c.judged
         ]
-        checks += [
-            Check(each.statement, each.here, "the same", each.holds) for each in _conclusions(done)[name]
-        ]
+        checks += comparison.conclusions(name, rows[TABLES[name].kind])
     return checks or [Check("measurements", str(len(done.rows)), "some", bool(done.rows))]
 
 
 def paper_plot(done: Finished[PaperSettings]) -> Mapping[str, Figure]:
-    """The paper's figures with ours: one measurement that is traced for each, all runs beside it."""
-    rows, drawn = by_kind(done), {}
-    for name in done.settings.figures:
-        drawn[name] = _draw_figure(name, done, rows[figures.KINDS[name]])
-        out.print(f"{name}: {figures.FIGURES[name]}", highlight=False)
-    return drawn
+    """The paper's figures with ours: one measurement that is traced for each."""
+    rows = by_kind(done)
+    return {name: _draw_figure(name, done, rows[figures.KINDS[name]]) for name in done.settings.figures}
 
 
 def _draw_figure(name: str, done: Finished[PaperSettings], rows: list[Row]) -> Figure:
     """A figure, traced with the first seed whose measurement ended well."""
     whole = next((row["seed"] for row in rows if not row["failure"]), done.request.seed)
     task = paper_task(done.request.config_dir, done.settings, figures.KINDS[name], int(whole))
-    return figures.draw(name, trace(done.request.config_dir, task), rows)
+    return figures.draw(name, trace(done.request.config_dir, task))
 
 
 def comparison_cells(beside: list[Compared]) -> list[list[str]]:
@@ -166,10 +141,9 @@ def comparison_cells(beside: list[Compared]) -> list[list[str]]:
     return [
         [
             made.part if index == 0 or made.part != beside[index - 1].part else "",
-            made.name,
-            f"{made.paper.mean:g}",
-            *(("–",) * 3 if made.paper.spread is None else (f"{value:.1f}" for value in made.paper.spread)),
-            *(f"{value:.1f}" for value in (made.mean, made.std, made.p5, made.p95)),
+            made.axis,
+            f"{made.paper:g}",
+            f"{made.mean:.1f}",
             str(made.runs),
             f"{made.ratio:.2f}",
             ("within 2" if made.reached else "OUTSIDE 2") if made.judged else "",
@@ -186,10 +160,5 @@ PAPER = Experiment(
     tables=paper_tables,
     verdict=paper_verdict,
     plot=paper_plot,
-    results=lambda done: {
-        "compared": _comparisons(done),
-        "conclusions": _conclusions(done),
-        "rows": by_kind(done),
-    },
     runs=20,
 )

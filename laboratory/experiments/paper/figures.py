@@ -1,4 +1,4 @@
-"""The paper's figures 5 to 9 from our measurements: one traced measurement, and all runs beside it."""
+"""The paper's figures 5 to 9 from one traced measurement of ours."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from laboratory.campaigns.rows import Row
-from laboratory.experiments.paper.comparison import SUB_CENTIMETRE_MM, values
+from laboratory.experiments.paper.comparison import SUB_CENTIMETRE_MM
 from testbed.reporting.plots import AXIS_COLOURS, STYLE
 from vision_pc.core.se3 import Array
 
@@ -17,29 +16,17 @@ Trace = Mapping[str, Array]
 KINDS = {"fig5": "line", "fig6": "line", "fig7": "line", "fig8": "match", "fig9": "match"}
 """The kind of measurement that each figure is of."""
 
-FIGURES = {
-    "fig5": "Euler angles of the tool marker against the object before and after the orientation adjustment: "
-    "one input drives two of the three close to zero; samples at zero are failed detections.",
-    "fig6": "The circle, wanted and driven, and the way to the reference: the driven path clearly resembles "
-    "a circle but is not completely planar.",
-    "fig7": "Position errors over the line equation: x and y come down to a few centimetres; the depth "
-    "is not treated.",
-    "fig8": "The path wanted, by the encoders, and by the camera after the match: the calibrated camera "
-    "follows the encoders.",
-    "fig9": "Position errors over two inputs after the match: the first does not bring x and y under 10 mm, "
-    "the second does; the depth keeps an offset.",
-}
-"""What each figure shows in the paper, in words."""
 
-
-def draw(name: str, traced: Trace, rows: Sequence[Row]) -> Figure:
+def draw(name: str, traced: Trace) -> Figure:
     """Figure ``name``."""
+    drawings = {"fig5": _fig5, "fig6": _fig6, "fig7": _fig7, "fig8": _fig8, "fig9": _fig9}
     with matplotlib.rc_context(STYLE):
-        return {"fig5": _fig5, "fig6": _fig6, "fig7": _fig7, "fig8": _fig8, "fig9": _fig9}[name](traced, rows)
+        figure = Figure(figsize=(5.5, 4.2), layout="constrained")
+        drawings[name](figure.subplots(), traced)
+    return figure
 
 
-def _fig5(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (over_time, spread) = _panels()
+def _fig5(over_time: Axes, traced: Trace) -> None:
     given = float(traced["input_s"][0])
     until = float(traced["input_s"][1])
     _curves(over_time, traced, "turn_deg", until, 1.0)
@@ -47,19 +34,17 @@ def _fig5(traced: Trace, rows: Sequence[Row]) -> Figure:
     for axis, colour in enumerate(AXIS_COLOURS):
         turn = traced["look_turn_deg"][at_rest, axis]
         over_time.plot(traced["look_s"][at_rest], turn, "o", color=colour, markersize=7, fillstyle="none")
-    _mark_failures(over_time, traced, until)
+    failed = np.isnan(traced["turn_deg"][:, 0]) & (traced["time_s"] < until)  # the paper draws zeros there
+    over_time.plot(traced["time_s"][failed], np.zeros(int(failed.sum())), "|", color="black")
     _mark_inputs(over_time, [given])
     over_time.set(
         xlabel="time / s",
         ylabel="Euler angle / °",
         title="one measurement; rings: looks at rest; ticks: nothing seen",
     )
-    _boxes(spread, rows, ("start", "oriented"), "r", "deg", "|Euler angle| / °")
-    return figure
 
 
-def _fig6(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (front, flat) = _panels()
+def _fig6(front: Axes, traced: Trace) -> None:
     wanted, driven = traced["corners_1"], traced["path_p_BT"]
     begun = traced["input_s"][2]
     last = traced["input_s"][3]
@@ -72,30 +57,16 @@ def _fig6(traced: Trace, rows: Sequence[Row]) -> Figure:
     front.plot(-traced["corners_2"][:, 1], traced["corners_2"][:, 2], color="black", linewidth=1.0)
     front.plot(-traced["corners_2"][-1, 1], traced["corners_2"][-1, 2], "o", color="black", label="reference")
     _front(front)
-    normal = _normal(wanted)
-    for label, points, colour in (
-        ("by the encoders", driven, AXIS_COLOURS[1]),
-        ("truly", _true_between(traced, 1, 2), AXIS_COLOURS[0]),
-    ):
-        off = 1e3 * (points - points.mean(axis=0)) @ normal
-        flat.plot(np.linspace(0.0, 1.0, len(off)), off, color=colour, label=label)
-    flat.set(xlabel="share of the circle's path", ylabel="out of its plane / mm", title="how planar it is")
-    flat.legend()
-    return figure
 
 
-def _fig7(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (over_time, spread) = _panels()
+def _fig7(over_time: Axes, traced: Trace) -> None:
     given = traced["input_s"][1:3]
     _curves(over_time, traced, "error_m", float(traced["input_s"][3]), 1e3)
     _mark_inputs(over_time, given)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="circle, then one input")
-    _boxes(spread, rows, ("oriented", "input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
-    return figure
 
 
-def _fig8(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (front, spread) = _panels()
+def _fig8(front: Axes, traced: Trace) -> None:
     tool = traced["path_p_BT"]
     camera = traced["path_p_C0C"] @ traced["R_BC"].T
     camera = camera - camera.mean(axis=0) + tool.mean(axis=0)
@@ -106,17 +77,9 @@ def _fig8(traced: Trace, rows: Sequence[Row]) -> Figure:
     ):
         front.plot(-points[:, 1], points[:, 2], color=colour, linewidth=1.0, label=label)
     _front(front)
-    error, residual = values(rows, "rotation_error_deg"), values(rows, "residual_mm")
-    spread.plot(residual, error, "o", markersize=4, color=AXIS_COLOURS[0], alpha=0.7)
-    spread.set(
-        xlabel="mean residual of the match / mm", ylabel="true error of its rotation / °",
-        title=f"{len(error)} runs", xlim=(0.0, None), ylim=(0.0, None),
-    )  # fmt: skip
-    return figure
 
 
-def _fig9(traced: Trace, rows: Sequence[Row]) -> Figure:
-    figure, (over_time, spread) = _panels()
+def _fig9(over_time: Axes, traced: Trace) -> None:
     given = traced["input_s"][2:4]
     after = traced["time_s"] > given[0] - 1.0
     shown = {name: value[after] for name, value in traced.items() if name in ("time_s", "error_m")}
@@ -124,9 +87,6 @@ def _fig9(traced: Trace, rows: Sequence[Row]) -> Figure:
     _mark_inputs(over_time, given)
     over_time.axhspan(-SUB_CENTIMETRE_MM, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="two inputs after the match")
-    _boxes(spread, rows, ("input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
-    spread.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
-    return figure
 
 
 def _front(axes: Axes) -> None:
@@ -134,12 +94,6 @@ def _front(axes: Axes) -> None:
     axes.set(xlabel="right / m", ylabel="up / m", title="one measurement, from behind the tool")
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend(loc="best")
-
-
-def _panels() -> tuple[Figure, tuple[Axes, Axes]]:
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    return figure, (left, right)
 
 
 def _curves(axes: Axes, traced: Trace, name: str, until_s: float, scale: float) -> None:
@@ -152,58 +106,6 @@ def _curves(axes: Axes, traced: Trace, name: str, until_s: float, scale: float) 
     axes.legend(ncols=3, frameon=True, loc="best")
 
 
-def _mark_failures(axes: Axes, traced: Trace, until_s: float) -> None:
-    """Ticks where nothing was measured: the paper draws zeros there."""
-    failed = np.isnan(traced["turn_deg"][:, 0]) & (traced["time_s"] < until_s)
-    axes.plot(traced["time_s"][failed], np.zeros(int(failed.sum())), "|", color="black")
-
-
 def _mark_inputs(axes: Axes, times_s: Sequence[float] | Array) -> None:
     for time_s in times_s:
         axes.axvline(float(time_s), color="0.4", linewidth=0.9, linestyle=":")
-
-
-def _boxes(
-    axes: Axes,
-    rows: Sequence[Row],
-    stages: tuple[str, ...],
-    turn: str,
-    unit: str,
-    label: str,
-    *,
-    axes_names: str = "xyz",
-) -> None:
-    """Absolute errors of all runs at each stage, a box for each axis."""
-    for stage_number, stage in enumerate(stages):
-        for axis in axes_names:
-            at = stage_number + 0.25 * ("xyz".index(axis) - 1)
-            shown = np.abs(values(rows, f"{stage}_{turn}{axis}_{unit}"))
-            drawn = axes.boxplot(
-                [shown], positions=[at], widths=0.2, whis=(5.0, 95.0), sym=".", patch_artist=True,
-                manage_ticks=False, medianprops={"color": "black"},
-            )  # fmt: skip
-            drawn["boxes"][0].set(facecolor=AXIS_COLOURS["xyz".index(axis)], alpha=0.7)
-    axes.set_xticks(range(len(stages)), [_WORDS[stage] for stage in stages])
-    axes.set(ylabel=label, title=f"{len(rows)} runs, whiskers 5 to 95 %", ylim=(0.0, None))
-
-
-_WORDS = {
-    "start": "before",
-    "oriented": "after orientation",
-    "matched": "after the match",
-    "input1": "first input",
-    "input2": "second input",
-}
-
-
-def _normal(points: Array) -> Array:
-    """Unit normal (3,) of the plane through ``points``."""
-    normal: Array = np.linalg.svd(points - points.mean(axis=0))[2][2]
-    return normal
-
-
-def _true_between(traced: Trace, first: int, last: int) -> Array:
-    """The tool's true places (n, 3) between two inputs."""
-    time_s, (begin, end) = traced["true_s"], (traced["input_s"][first], traced["input_s"][last])
-    moving: Array = traced["true_p_WT"][(time_s > begin) & (time_s < end)]
-    return moving

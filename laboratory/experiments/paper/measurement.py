@@ -1,17 +1,15 @@
 """One measurement of the paper's, in lockstep: orientation adjustment, then one of both range adjustments.
 
-A task is flat: ``key``, ``kind`` (``line`` or ``match``), ``scenario``, ``seed``, ``eyes``, ``assignments``.
+A task is flat: ``key``, ``kind`` (``line`` or ``match``), ``seed``, ``eyes``.
 Each measurement begins anew, at the start pose of a world drawn from the seed, as the paper's did.
 """
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from foundation.configuration import merged, parse_overrides
 from laboratory.campaigns.rows import Row
 from laboratory.experiments.paper.sight import RememberingEyes, TracedArm, opencv_sight, traced_arrays
 from protocol.errors import LongreachError
@@ -19,7 +17,7 @@ from protocol.faults import CommandCode
 from testbed.lockstep.clock import RunLog, run
 from testbed.lockstep.simulated_measurements import camera_eyes, eyes_with, load_eye_model, simulated_sight
 from testbed.lockstep.world import World
-from testbed.scenarios.scenario import Settings, load_scenario, load_settings
+from testbed.scenarios.scenario import load_scenario, load_settings
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.calibration.line_equation import line_equation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
@@ -27,14 +25,15 @@ from vision_pc.core.calibration.orientation import adjust_orientation, orientati
 from vision_pc.core.calibration.trajectory_matching import trajectory_matching
 from vision_pc.core.ports import Arm, Eyes
 from vision_pc.core.positioning.look_then_move import step
-from vision_pc.core.se3 import Array, angle_between, transform
+from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look
+
+SCENARIO = "paper"
 
 
 class Bench(NamedTuple):
     """A world with the two ports that programs are written over."""
 
-    settings: Settings
     world: World
     arm: Arm
     eyes: RememberingEyes
@@ -45,8 +44,7 @@ def bench(config_dir: Path, task: Row, *, traces: bool = False) -> Bench:
 
     ``traces``: every motion is watched, and the arm a TracedArm.
     """
-    drawn = load_scenario(config_dir, task["scenario"]).world(task["seed"])
-    settings = load_settings(config_dir, merged(drawn, parse_overrides(task["assignments"])))
+    settings = load_settings(config_dir, load_scenario(config_dir, SCENARIO).world(task["seed"]))
     world = World(settings, task["seed"], RunLog())
     seen: Eyes = camera_eyes(world)
     if task["eyes"] == "opencv":
@@ -57,50 +55,42 @@ def bench(config_dir: Path, task: Row, *, traces: bool = False) -> Bench:
     world.connect()
     run(world.link.command(CommandCode.ENABLE))
     run(world.link.next_state())
-    return Bench(settings, world, TracedArm(arm, eyes) if traces else arm, eyes)
+    return Bench(world, TracedArm(arm, eyes) if traces else arm, eyes)
 
 
 def measure(config_dir: Path, task: Row) -> Row:
     """The row of one measurement; one that ends early tells why, and keeps what it had until then."""
-    return _measured(bench(config_dir, task), task["kind"])[0]
+    return measured_on(bench(config_dir, task), task["kind"])[0]
 
 
 def trace(config_dir: Path, task: Row) -> Mapping[str, Array]:
     """What the camera saw of every motion of the same measurement, as ``traced_arrays``."""
     rig = bench(config_dir, task, traces=True)
-    _, match = _measured(rig, task["kind"])
+    _, match = measured_on(rig, task["kind"])
     assert isinstance(rig.arm, TracedArm)
-    return traced_arrays(rig.arm, rig.eyes, rig.world, match)
+    return traced_arrays(rig.arm, rig.eyes, match)
 
 
-def _measured(rig: Bench, kind: str) -> tuple[Row, LocalCalibration | None]:
+def measured_on(rig: Bench, kind: str) -> tuple[Row, LocalCalibration | None]:
+    """The row of a measurement, and what its match found."""
     row: Row = {}
+    match = None
     try:
-        return row, measured_on(rig, kind, row)
-    except LongreachError as error:
-        row["failure"] = f"{error.cause}: {error}"
-    return row, None
-
-
-def measured_on(rig: Bench, kind: str, row: Row) -> LocalCalibration | None:
-    """What the match found; ``row`` is filled on the way. Raises what stopped the measurement."""
-    programs = rig.settings.vision.programs
-    try:
-        run(adjust_orientation(rig.arm, rig.eyes, _silent, programs.orientation))
+        run(adjust_orientation(rig.arm, rig.eyes, _silent, rig.world.settings.vision.programs.orientation))
         _note("start", rig.eyes.looks[0], row)
         _note("oriented", rig.eyes.looks[-1], row)
         if kind == "match":
-            return _match(rig, row)
-        _line(rig, row)
-        return None
-    finally:
-        row["unseen"] = rig.eyes.unseen
-        row["simulated_s"] = 1e-9 * rig.world.time_ns
+            match = _match(rig, row)
+        else:
+            _line(rig, row)
+    except LongreachError as error:
+        row["failure"] = f"{error.cause}: {error}"
+    return row | {"unseen": rig.eyes.unseen, "simulated_s": 1e-9 * rig.world.time_ns}, match
 
 
 def _line(rig: Bench, row: Row) -> None:
     """3.2.1: circle, one input, and the second input of its "servo-type variant" (5.2.1)."""
-    found = run(line_equation(rig.arm, rig.eyes, _silent, rig.settings.vision.programs.line_equation))
+    found = run(line_equation(rig.arm, rig.eyes, _silent, rig.world.settings.vision.programs.line_equation))
     look = _at_rest(rig, "input1", row)
     # (16) with "the currently measured variables": from where the tool is, along p_u, by the distance now
     left = float(np.hypot(*(look.X_CO[:2, 3] - look.X_CM[:2, 3])))
@@ -110,15 +100,11 @@ def _line(rig: Bench, row: Row) -> None:
 
 def _match(rig: Bench, row: Row) -> LocalCalibration:
     """3.2.2: path, match, and two inputs by (22)."""
-    programs = rig.settings.vision.programs
+    programs = rig.world.settings.vision.programs
     made = programs.trajectory, programs.local_map
     found = run(trajectory_matching(rig.arm, rig.eyes, _silent, *made))
     for axis, mean, most in zip("xyz", found.residuals.mean_m, found.residuals.maximum_m, strict=True):
         row |= {f"residual_{axis}_mm": 1e3 * float(mean), f"residual_max_{axis}_mm": 1e3 * float(most)}
-    row["residual_mm"] = 1e3 * float(np.linalg.norm(found.residuals.mean_m))
-    # from the R_BC found to the camera's true one; the base's own lean is a part of it
-    R_BC = found.rotation_at(run(rig.arm.view()).X_BT)
-    row["rotation_error_deg"] = math.degrees(angle_between(R_BC, rig.world.truths[-1].X_WC[:3, :3]))
     look = _at_rest(rig, "matched", row)
     for number in (1, 2):
         run(rig.arm.move_to(step(look, programs.positioning, found).X_BT_ref))

@@ -111,9 +111,7 @@ class TracedArm:
         self.inputs.append((view.time_ns, np.array([X[:3, 3] for X in (view.X_BT, *waypoints)])))
 
 
-def traced_arrays(
-    arm: TracedArm, eyes: RememberingEyes, world: World, match: LocalCalibration | None
-) -> dict[str, Array]:
+def traced_arrays(arm: TracedArm, eyes: RememberingEyes, match: LocalCalibration | None) -> dict[str, Array]:
     """Everything as arrays: times in s of the simulation, places in m, angles in degrees, NaN unseen."""
     held = [s for s in eyes.path if s.X_C0C is not None]
     arrays: dict[str, Any] = {
@@ -127,8 +125,6 @@ def traced_arrays(
         "input_s": [_seconds(time_ns) for time_ns, _ in arm.inputs],
         "path_p_BT": [s.X_BT[:3, 3] for s in held or eyes.path],
         "path_p_C0C": [s.X_C0C[:3, 3] for s in held if s.X_C0C is not None],
-        "true_s": [1e-9 * truth.time_ns for truth in world.truths[::5]],
-        "true_p_WT": [truth.X_WT[:3, 3] for truth in world.truths[::5]],
     }
     arrays |= {f"corners_{number}": corners for number, (_, corners) in enumerate(arm.inputs)}
     if match is not None:

@@ -8,6 +8,7 @@ that another one beside it leaves its draws as they were.
 """
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,35 @@ class Axis(NamedTuple):
 def axis(width: str, source: str) -> Callable[[Draw], Axis]:
     """The axis of a function: its name is the function's."""
     return lambda draw: Axis(draw.__name__, width, source, draw)
+
+
+Value = Callable[[np.random.Generator, Any], Any]
+"""One value: from a generator and what it is usually."""
+
+
+def between(low: Any, high: Any) -> Value:
+    """Evenly between two bounds; of arrays, each between its own."""
+    return lambda rng, _usual: np.asarray(rng.uniform(low, high)).tolist()
+
+
+def times(most: float) -> Value:
+    """The usual value, at most so many times as large or as small."""
+    return lambda rng, usual: usual * factor(rng, most)
+
+
+def values(name: str, width: str, source: str, place: str, **drawn: Any) -> Axis:
+    """The axis of values that lie at one place of the configuration; what is no function stays as it is."""
+    keys = place.split(".")
+
+    def draw(rng: np.random.Generator, usual: Settings) -> JSON:
+        there = reduce(getattr, keys, usual)
+        made = {
+            key: value(rng, getattr(there, key, None)) if callable(value) else value
+            for key, value in drawn.items()
+        }
+        return reduce(lambda inner, key: {key: inner}, reversed(keys), made)
+
+    return Axis(name, width, source, draw)
 
 
 def about(rng: np.random.Generator, value: float, share: float) -> float:
@@ -116,26 +146,27 @@ def bending(rng: np.random.Generator, usual: Settings) -> JSON:
     return {"plant": {"flexibility": drawn}}
 
 
-@axis(
+# Where the booms bend.
+finer_bending = values(
+    "finer_bending",
     "two hinges a beam each way, at 0.25 to 0.3 and 0.6 to 0.7 of it",
     "[E] sections of unequal strength; [D] no longer the estimator's own model, one hinge at a third",
+    "plant.errors.finer_bending",
+    enabled=True,
+    boom_at=between([0.25, 0.6], [0.3, 0.7]),
+    arm_at=between([0.25, 0.6], [0.3, 0.7]),
 )
-def finer_bending(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """Where the booms bend."""
-    places = {f"{beam}_at": rng.uniform([0.25, 0.6], [0.3, 0.7]).tolist() for beam in ("boom", "arm")}
-    return {"plant": {"errors": {"finer_bending": {"enabled": True} | places}}}
 
 
-@axis(
+# Between joints and their encoders.
+play = values(
+    "play",
     "half: slew 0.1 to 0.7 mrad, lift and tilt 0.03 to 0.3, wrist 0.05 to 0.3",
     "[S] mesh backlash 0.18 to 0.23 mm of a rotary actuator on 0.1 to 0.25 m: 0.4 to 1.1 mrad half; "
     "[E] pins worn by 0.01 to 0.1 mm on 0.31 m",
+    "plant.errors.backlash",
+    half_width_mrad=between([0.1, 0.03, 0.03, 0.05, 0.05, 0.05], [0.7, 0.3, 0.3, 0.3, 0.3, 0.3]),
 )
-def play(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """Between joints and their encoders."""
-    wide = np.array([0.7, 0.3, 0.3, 0.3, 0.3, 0.3])
-    narrow = np.array([0.1, 0.03, 0.03, 0.05, 0.05, 0.05])
-    return {"plant": {"errors": {"backlash": {"half_width_mrad": rng.uniform(narrow, wide).tolist()}}}}
 
 
 @axis("0 to 0.3 m off the tool's axis", "[E] a drill or a gripper hangs beside the wrist")
@@ -158,81 +189,96 @@ def joint_axes(rng: np.random.Generator, _usual: Settings) -> JSON:
     return {"plant": {"errors": {"geometry": drawn}}}
 
 
-@axis(
+# The state of the oil.
+oil = values(
+    "oil",
     "20 to 60 °C; 0.2 to 2 % of air; bulk modulus ×0.7 to 1",
     "[E] a cold morning, a hot afternoon, old oil; [D] no stiffer: 0.5 ms is the longest stable step",
+    "plant.oil",
+    temperature_degc=between(20.0, 60.0),
+    air_fraction=lambda rng, _usual: float(np.exp(rng.uniform(np.log(0.002), np.log(0.02)))),
+    bulk_modulus_mpa=lambda rng, usual: usual * rng.uniform(0.7, 1.0),
 )
-def oil(rng: np.random.Generator, usual: Settings) -> JSON:
-    """The state of the oil."""
-    drawn = {
-        "temperature_degc": rng.uniform(20.0, 60.0),
-        "air_fraction": float(np.exp(rng.uniform(np.log(0.002), np.log(0.02)))),
-        "bulk_modulus_mpa": usual.plant.oil.bulk_modulus_mpa * rng.uniform(0.7, 1.0),
-    }
-    return {"plant": {"oil": drawn}}
 
 
-@axis("time constant ×0.67 to 1.5", "[E] wind, paint, how much steel there is to a litre")
-def cooling_oil(rng: np.random.Generator, usual: Settings) -> JSON:
-    """Oil that shrinks behind shut valves as it cools to the air around."""
-    time_s = usual.plant.errors.cooling_oil.time_constant_s * factor(rng, 1.5)
-    return {"plant": {"errors": {"cooling_oil": {"enabled": True, "time_constant_s": time_s}}}}
+# Oil that shrinks behind shut valves as it cools to the air around.
+cooling_oil = values(
+    "cooling_oil",
+    "time constant ×0.67 to 1.5",
+    "[E] wind, paint, how much steel there is to a litre",
+    "plant.errors.cooling_oil",
+    enabled=True,
+    time_constant_s=times(1.5),
+)
 
 
-@axis("±3 %", "[E] a gauge of class 1.6 and its zero")
-def supply(rng: np.random.Generator, usual: Settings) -> JSON:
-    """The pump's set pressure."""
-    return {"plant": {"pump": {"pressure_bar": about(rng, usual.plant.pump.pressure_bar, 0.03)}}}
+# The pump's set pressure.
+supply = values(
+    "supply",
+    "±3 %",
+    "[E] a gauge of class 1.6 and its zero",
+    "plant.pump",
+    pressure_bar=lambda rng, usual: about(rng, usual, 0.03),
+)
 
 
-@axis("0.2 to 0.5 mrad once a turn, for each joint", "[E] of a real shaft")
-def eccentric_encoders(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """Encoders off the centre of their shafts."""
-    drawn = {"enabled": True, "mrad": rng.uniform(0.2, 0.5, 6).tolist()}
-    return {
-        "plant": {
-            "errors": {"encoder_eccentricity": drawn | {"phase_deg": rng.uniform(0.0, 360.0, 6).tolist()}}
-        }
-    }
+# Encoders off the centre of their shafts.
+eccentric_encoders = values(
+    "eccentric_encoders",
+    "0.2 to 0.5 mrad once a turn, for each joint",
+    "[E] of a real shaft",
+    "plant.errors.encoder_eccentricity",
+    enabled=True,
+    mrad=between([0.2] * 6, [0.5] * 6),
+    phase_deg=between([0.0] * 6, [360.0] * 6),
+)
 
 
-@axis("G J ×0.67 to 1.5, boom and arm apart", "[E] as the bending")
-def torsion(rng: np.random.Generator, usual: Settings) -> JSON:
-    """How the booms twist."""
-    of = usual.plant.errors.torsion
-    drawn = {
-        "boom_gj_n_m2": of.boom_gj_n_m2 * factor(rng, 1.5),
-        "arm_gj_n_m2": of.arm_gj_n_m2 * factor(rng, 1.5),
-    }
-    return {"plant": {"errors": {"torsion": {"enabled": True} | drawn}}}
+# How the booms twist.
+torsion = values(
+    "torsion",
+    "G J ×0.67 to 1.5, boom and arm apart",
+    "[E] as the bending",
+    "plant.errors.torsion",
+    enabled=True,
+    boom_gj_n_m2=times(1.5),
+    arm_gj_n_m2=times(1.5),
+)
 
 
-@axis("stiffness ×0.5 to 2, lift and tilt apart", "[E] pins in worn bushes")
-def soft_pins(rng: np.random.Generator, usual: Settings) -> JSON:
-    """How the pivots' pins give."""
-    of = usual.plant.errors.pin_compliance
-    drawn = {
-        "lift_nm_rad": of.lift_nm_rad * factor(rng, 2.0),
-        "tilt_nm_rad": of.tilt_nm_rad * factor(rng, 2.0),
-    }
-    return {"plant": {"errors": {"pin_compliance": {"enabled": True} | drawn}}}
+# How the pivots' pins give.
+soft_pins = values(
+    "soft_pins",
+    "stiffness ×0.5 to 2, lift and tilt apart",
+    "[E] pins in worn bushes",
+    "plant.errors.pin_compliance",
+    enabled=True,
+    lift_nm_rad=times(2.0),
+    tilt_nm_rad=times(2.0),
+)
 
 
-@axis("0.3 to 0.6 mm over the ring", "[S] a new slewing ring")
-def tilting_bearing(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """The slewing ring's axial play."""
-    return {"plant": {"errors": {"bearing_tilt": {"enabled": True, "play_mm": rng.uniform(0.3, 0.6)}}}}
+# The slewing ring's axial play.
+tilting_bearing = values(
+    "tilting_bearing",
+    "0.3 to 0.6 mm over the ring",
+    "[S] a new slewing ring",
+    "plant.errors.bearing_tilt",
+    enabled=True,
+    play_mm=between(0.3, 0.6),
+)
 
 
-@axis(
+# Play in the slew's mesh, as loose steel.
+loose_slew = values(
+    "loose_slew",
     "0.7 to 2.3 mrad to and fro; hoses pull by up to 80 N m",
     "[S] 0.18 to 0.23 mm of mesh; [E] on 0.1 to 0.25 m, hoses",
+    "plant.errors.loose_slew",
+    enabled=True,
+    backlash_mrad=between(0.7, 2.3),
+    hose_nm=lambda rng, usual: rng.uniform(-2.0 * usual, 2.0 * usual),
 )
-def loose_slew(rng: np.random.Generator, usual: Settings) -> JSON:
-    """Play in the slew's mesh, as loose steel."""
-    most = 80.0 * usual.plant.errors.loose_slew.hose_nm / 40.0
-    drawn = {"backlash_mrad": rng.uniform(0.7, 2.3), "hose_nm": rng.uniform(-most, most)}
-    return {"plant": {"errors": {"loose_slew": {"enabled": True} | drawn}}}
 
 
 @axis(

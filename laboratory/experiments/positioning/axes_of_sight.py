@@ -2,20 +2,21 @@
 
 import numpy as np
 
-from laboratory.experiments.positioning.axes import JSON, axis, factor
+from laboratory.experiments.positioning.axes import JSON, axis, between, factor, values
 from testbed.scenarios.scenario import Settings
 
 # ---- the camera
 
 
-@axis(
+# What the maker's calibration leaves.
+rectification = values(
+    "rectification",
     "disparity ±3.5 px, rows ±1 px",
     "[S] zed-sdk 44: a ZED from the factory showed 25 m as 12 m: 3.5 px; [E] rows",
+    "scene.camera.rectification",
+    disparity_px=between(-3.5, 3.5),
+    vertical_px=between(-1.0, 1.0),
 )
-def rectification(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """What the maker's calibration leaves."""
-    drawn = {"disparity_px": rng.uniform(-3.5, 3.5), "vertical_px": rng.uniform(-1.0, 1.0)}
-    return {"scene": {"camera": {"rectification": drawn}}}
 
 
 @axis("baseline ±0.6 %, focal length ±0.3 %, k1 ±0.006", "[S] the study's scale of ±0.6 %; [E] the lens")
@@ -51,74 +52,91 @@ def light(rng: np.random.Generator, _usual: Settings) -> JSON:
     return {"scene": {"camera": camera, "wall": {"contrast_grey": rng.uniform(10.0, 25.0)}}}
 
 
-@axis("15.7 µs a row, 11.3 ms in all; not drawn", "[S] Stereolabs support: the ZED 2 at 720p and 60 Hz")
-def rolling_shutter(_rng: np.random.Generator, _usual: Settings) -> JSON:
-    """The ZED 2's readout."""
-    return {"scene": {"camera": {"shutter": {"kind": "rolling", "mode_hz": 60}}}}
+# The ZED 2's readout.
+rolling_shutter = values(
+    "rolling_shutter",
+    "15.7 µs a row, 11.3 ms in all; not drawn",
+    "[S] Stereolabs support: the ZED 2 at 720p and 60 Hz",
+    "scene.camera.shutter",
+    kind="rolling",
+    mode_hz=60,
+)
 
 
-@axis("0 to 8 mm over 0.5 to 2 m", "[E] shotcrete and rough concrete")
-def uneven_wall(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """How far the wall rises and falls about its plane."""
-    wall = {"undulation_mm": rng.uniform(0.0, 8.0), "undulation_length_m": rng.uniform(0.5, 2.0)}
-    return {"scene": {"wall": wall}}
+# How far the wall rises and falls about its plane.
+uneven_wall = values(
+    "uneven_wall",
+    "0 to 8 mm over 0.5 to 2 m",
+    "[E] shotcrete and rough concrete",
+    "scene.wall",
+    undulation_mm=between(0.0, 8.0),
+    undulation_length_m=between(0.5, 2.0),
+)
 
 
-@axis(
+# What the right eye's lens has more than the left's.
+two_lenses = values(
+    "two_lenses",
     "focal lengths ±0.3 px, k1 ±0.0015, k2 ±0.0005, p1 and p2 ±0.0002, right eye against left",
     "[E] two eyes rectified one by one",
+    "scene.camera.lens_difference",
+    fx_px=between(-0.3, 0.3),
+    fy_px=between(-0.3, 0.3),
+    k1=between(-0.0015, 0.0015),
+    k2=between(-0.0005, 0.0005),
+    p1=between(-0.0002, 0.0002),
+    p2=between(-0.0002, 0.0002),
 )
-def two_lenses(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """What the right eye's lens has more than the left's."""
-    wide = {"fx_px": 0.3, "fy_px": 0.3, "k1": 0.0015, "k2": 0.0005, "p1": 0.0002, "p2": 0.0002}
-    drawn = {name: rng.uniform(-most, most) for name, most in wide.items()}
-    return {"scene": {"camera": {"lens_difference": drawn}}}
 
 
-@axis(
+# How the rectification wanders as the camera warms.
+drift = values(
+    "drift",
     "disparity 0.05 to 0.3 px, rows 0.05 to 0.2 px rms, within 5 to 15 minutes",
     "[E] heat moves low-cost stereo cameras by a few parts in a thousand of a pixel a second",
+    "scene.camera.drift",
+    disparity_px=between(0.05, 0.3),
+    vertical_px=between(0.05, 0.2),
+    time_constant_s=between(300.0, 900.0),
 )
-def drift(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """How the rectification wanders as the camera warms."""
-    drawn = {
-        "disparity_px": rng.uniform(0.05, 0.3),
-        "vertical_px": rng.uniform(0.05, 0.2),
-        "time_constant_s": rng.uniform(300.0, 900.0),
-    }
-    return {"scene": {"camera": {"drift": drawn}}}
 
 
-@axis("−10 to 20 ms late, jitter 0.5 to 3 ms rms", "[E] a camera stamped by a host that is not real-time")
-def stamps(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """What is wrong with the times that are told of pictures."""
-    drawn = {"delay_ms": rng.uniform(-10.0, 20.0), "jitter_ms": rng.uniform(0.5, 3.0)}
-    return {"scene": {"camera": {"stamps": drawn}}}
+# What is wrong with the times of pictures.
+stamps = values(
+    "stamps",
+    "−10 to 20 ms late, jitter 0.5 to 3 ms rms",
+    "[E] a camera stamped by a host that is not real-time",
+    "scene.camera.stamps",
+    delay_ms=between(-10.0, 20.0),
+    jitter_ms=between(0.5, 3.0),
+)
 
 
 # ---- light and surroundings
 
 
-@axis("gamma 0.45 to 1", "[S] sRGB's curve is about 0.45")
-def exposure(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """What the camera makes of light by itself."""
-    return {"scene": {"camera": {"response_gamma": rng.uniform(0.45, 1.0)}}}
+# What the camera makes of light by itself.
+exposure = values(
+    "exposure",
+    "gamma 0.45 to 1",
+    "[S] sRGB's curve is about 0.45",
+    "scene.camera",
+    response_gamma=between(0.45, 1.0),
+)
 
 
-@axis(
+# The edge of a shade that wanders over the scene.
+moving_shadow = values(
+    "moving_shadow",
     "0.35 to 0.8 of the light left, 0.02 to 0.5 m/s, penumbra 5 to 60 mm, any direction",
     "[E] a boom, a person, a cloud's edge",
+    "scene.lighting.shadow",
+    factor=between(0.35, 0.8),
+    direction_deg=between(-180.0, 180.0),
+    start_m=between(-1.5, 0.0),
+    speed_m_s=between(0.02, 0.5),
+    penumbra_m=between(0.005, 0.06),
 )
-def moving_shadow(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """The edge of a shade that wanders over the scene."""
-    shade = {
-        "factor": rng.uniform(0.35, 0.8),
-        "direction_deg": rng.uniform(-180.0, 180.0),
-        "start_m": rng.uniform(-1.5, 0.0),
-        "speed_m_s": rng.uniform(0.02, 0.5),
-        "penumbra_m": rng.uniform(0.005, 0.06),
-    }
-    return {"scene": {"lighting": {"shadow": shade}}}
 
 
 @axis(
@@ -177,10 +195,14 @@ def passers(rng: np.random.Generator, _usual: Settings) -> JSON:
 # ---- the markers
 
 
-@axis("±0.3 %", "[E] a copier's scale")
-def tool_print(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """The printed size of the tool's marker."""
-    return {"scene": {"tool_marker": {"print_scale_error": rng.uniform(-0.003, 0.003)}}}
+# The printed size of the tool's marker.
+tool_print = values(
+    "tool_print",
+    "±0.3 %",
+    "[E] a copier's scale",
+    "scene.tool_marker",
+    print_scale_error=between(-0.003, 0.003),
+)
 
 
 @axis(

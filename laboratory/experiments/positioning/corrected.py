@@ -67,18 +67,11 @@ def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list
 
 
 def positioning_tables(done: Finished[DrawnSettings]) -> list[Table]:
-    """For each arm the errors after each branch, and what refused or failed; how many draws were kept."""
+    """For each arm the errors after each branch, and what refused or failed."""
     tables: list[Table] = []
     for arm, rows in by_arm(done.rows).items():
         tables += [_errors(arm, rows), *_stops(rows)]
-    unreachable, unseen = (int(np.nansum(column(done.rows, name))) for name in ("unreachable", "unseen"))
-    kept = sum(row.get("unseen") is not None for row in done.rows)
-    share = f"{kept / max(kept + unseen, 1):.0%}"
-    headings = (
-        "drawn", "out of the arm's reach", "a marker not whole in view", "kept", "kept of those in reach",
-    )  # fmt: skip
-    cells = [[kept + unreachable + unseen, unreachable, unseen, kept, share]]
-    return [*tables, table("draws that make a task", headings, cells)]
+    return tables
 
 
 def positioning_verdict(done: Finished[DrawnSettings]) -> list[Check]:
@@ -102,14 +95,10 @@ def _errors(arm: str, rows: Sequence[Row]) -> Table:
     shown = []
     for name, what in BRANCHES.items():
         worst, z = worst_mm(rows, name), np.abs(column(rows, f"{name}_true_z_mm"))
-        apart = np.array(
-            [column(rows, f"{name}_measured_{a}_mm") - column(rows, f"{name}_true_{a}_mm") for a in "xy"]
-        )
-        rms = np.sqrt(np.nanmean(apart**2)) if np.isfinite(apart).any() else np.nan
-        statistics = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)] + [rms]
+        statistics = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)]
         within = f"{np.count_nonzero(worst <= LIMIT_MM)} of {len(rows)}"
         shown.append([what, within, *(f"{figure:.2f}" for figure in statistics)])
-    headings = ["after", "within 5 mm", "median", "95 %", "worst", "|z| median", "95 %", "measured − true"]
+    headings = ["after", "within 5 mm", "median", "95 %", "worst", "|z| median", "95 %"]
     return table(f"arm {arm}, {len(rows)} runs: worse of true |x| and |y|, mm", headings, shown)
 
 

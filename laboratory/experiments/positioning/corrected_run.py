@@ -129,7 +129,7 @@ def commissioned(
 
 
 def driven(rig: LockstepRig, body: JSON) -> JSON:
-    """One look and its motion: true and measured error, mm, and what was predicted ``before`` moving.
+    """One look and its motion: the true error, mm, and what was predicted ``before`` moving.
 
     ``first`` and ``last``: what the looks before and after the motion say of the error, judged by the error
     then. ``failure`` is what ended it early, and all that there is then.
@@ -145,8 +145,6 @@ def driven(rig: LockstepRig, body: JSON) -> JSON:
     looks = result.positioning.looks
     row: JSON = {"worst_mm": float(np.abs(error_mm[:2]).max()), "failure": ""}
     row |= {f"true_{axis}_mm": float(value) for axis, value in zip("xyz", error_mm, strict=True)}
-    measured_mm = 1e3 * result.measured_residual_m
-    row |= {f"measured_{axis}_mm": float(value) for axis, value in zip("xyz", measured_mm, strict=True)}
     row |= named("before", prediction_of(result.expected, error_mm))
     row |= named("first", prediction_of(_seen(looks[0]), began_mm))
     return row | named("last", prediction_of(_seen(looks[-1]), error_mm))

@@ -30,9 +30,8 @@ def nees(rows: Sequence[Row], of: str) -> float:
     return float(np.nanmean(distances) / 2.0) if np.isfinite(distances).any() else float("nan")
 
 
-def chance_band(runs: int) -> tuple[float, float]:
-    """In which 95 % of such means over ``runs`` lie although the spread is right."""
-    freedom = max(2 * runs, 1)
+def chance_band(freedom: int) -> tuple[float, float]:
+    """Where 95 of 100 means of so many squared standard errors lie although their spread is right."""
     low, high = (float(stats.chi2.ppf(side, freedom)) / freedom for side in (0.025, 0.975))
     return low, high
 
@@ -50,20 +49,17 @@ def overconfident_failures(rows: Sequence[Row], of: str) -> int:
     return int(np.count_nonzero(outside & ~(column(rows, f"{of}_probability") < CONFIDENT)))
 
 
-def prediction_checks(what: str, rows: Sequence[Row], of: str, judged: bool) -> list[Check]:
-    """The verdict's lines about honesty; ``judged``: as limits (the bands widened by chance), else shown."""
+def prediction_checks(what: str, rows: Sequence[Row], of: str) -> list[Check]:
+    """The verdict's lines about honesty, their bands widened by chance."""
     ended = int(np.isfinite(_distances(rows, of)).sum())
-    low, high = chance_band(ended)
+    low, high = chance_band(max(2 * ended, 1))
     band = (min(NEES_BAND[0], low), max(NEES_BAND[1], high))
     few, many = (float(stats.binom.ppf(side, ended, 0.95)) / max(ended, 1) for side in (0.025, 0.975))
     share = (min(COVERED_BAND[0], few), max(COVERED_BAND[1], many))
-    failures, limit = overconfident_failures(rows, of), 0 if judged else None
     return [
-        inside(f"{what}: error² over predicted variance, mean", nees(rows, of), band if judged else None),
-        inside(
-            f"{what}: share inside the predicted 95 % ellipse", covered(rows, of), share if judged else None
-        ),
-        at_most(f"{what}: overconfident failures", failures, limit),
+        inside(f"{what}: error² over predicted variance, mean", nees(rows, of), band),
+        inside(f"{what}: share inside the predicted 95 % ellipse", covered(rows, of), share),
+        at_most(f"{what}: overconfident failures", overconfident_failures(rows, of), 0),
     ]
 
 
@@ -81,13 +77,11 @@ def checks_of(rows: Sequence[Row], demands: Demands) -> list[Check]:
         at_least("two looks: share within 5 mm", share(two, LIMIT_MM), demands.two_looks),
         at_most("two looks: median", quantile(two, 50), demands.median_mm, "mm"),
         at_most("two looks: 95 %", quantile(two, 95), demands.q95_mm, "mm"),
-        *prediction_checks("one look", rows, "look1_before", demands.honest),
-        *prediction_checks("two looks", rows, "look2_before", False),
-        *prediction_checks("one shot", rows, "one_shot_before", False),
+        *prediction_checks("one look", rows, "look1_before"),
         *(
             check
             for where, of in looks.items()
-            for check in prediction_checks(f"a look {where}", rows, of, demands.honest)[:2]
+            for check in prediction_checks(f"a look {where}", rows, of)[:2]
         ),
     ]
 

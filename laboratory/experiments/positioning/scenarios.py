@@ -55,8 +55,8 @@ def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld, unturned: Arr
     """The scenario of ``seed`` on ``arm``, a name of ``arms/`` or a directory.
 
     ``unturned``: places (n, 3) in O that the tool is driven to as it stands, not turned parallel to the
-    object; they are within reach too. ``shown`` counts what was drawn and not kept: ``unreachable`` and
-    ``unseen``. Raises ConfigurationError for an unknown arm, or when no draw of many can be done.
+    object; they are within reach too. Raises ConfigurationError for an unknown arm, or when no draw of many
+    can be done.
     """
     files = arm_overrides(config_dir, arm)
     settings = load_settings(config_dir, files)
@@ -65,15 +65,12 @@ def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld, unturned: Arr
     usual = load_settings(config_dir, merged(files, beside))
     rng = np.random.default_rng([seed, _STREAM, stream])
     leg_m = settings.vision.programs.local_map.leg_m
-    unreachable, unseen = 0, 0
-    while unreachable + unseen < _TRIES:
+    for _ in range(_TRIES):
         pose = _draw_pose(rng, settings)
         scene = merged(_scene(rng, pose), beside.get("scene", {}))
-        if not _can_reach(pose, settings.arm, _goals(pose, leg_m, unturned)):
-            unreachable += 1
-        elif not _in_view(pose, usual.scene, scene):
-            unseen += 1
-        else:
+        if _can_reach(pose, settings.arm, _goals(pose, leg_m, unturned)) and _in_view(
+            pose, usual.scene, scene
+        ):
             break
     else:
         why = f"seed {seed}: none of {_TRIES} draws can be done"
@@ -86,8 +83,6 @@ def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld, unturned: Arr
         "lever_m": float(np.linalg.norm(scene["mount"]["position_m"])),
         "distance_m": pose.distance_m,
         "disparity_px": scene["camera"]["rectification"]["disparity_px"],
-        "unreachable": unreachable,
-        "unseen": unseen,
     }
     return Drawn(overrides, shown)
 

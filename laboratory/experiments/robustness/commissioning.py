@@ -7,7 +7,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import typer
 from rich.table import Table
-from scipy.stats import chi2
 
 from foundation.configuration import merged
 from laboratory.campaigns.campaign import CampaignRequest
@@ -17,6 +16,7 @@ from laboratory.campaigns.workforce import Task
 from laboratory.experiments.positioning import axes, axes_of_sight
 from laboratory.experiments.positioning.axes import JSON
 from laboratory.experiments.positioning.own_commissioning import excited
+from laboratory.experiments.positioning.results import chance_band
 from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from nominal_arm.description import JOINT_NAMES
@@ -180,14 +180,9 @@ def commissioning_verdict(done: Finished[CommissioningOptions]) -> list[Check]:
     return [
         at_most("joints that failed", float(len(done.rows) - len(rows)), 0.0),
         at_least("deadbands within 5 % of the truth", float(np.mean(errors <= 5.0)), 1.0),
-        *(inside(f"NEES of {name}", float(np.mean(z**2)), _band(len(z))) for name, z in z_of.items()),
+        *(inside(f"NEES of {name}", float(np.mean(z**2)), chance_band(len(z))) for name, z in z_of.items()),
         at_most("arm time for six joints, mean", minutes, MINUTES_LIMIT, "min"),
     ]
-
-
-def _band(count: int) -> tuple[float, float]:
-    """Where the mean of so many squared errors over variance lies in 95 of 100 cases, if σ is honest."""
-    return float(chi2.ppf(0.025, count)) / count, float(chi2.ppf(0.975, count)) / count
 
 
 COMMISSIONING = Experiment(

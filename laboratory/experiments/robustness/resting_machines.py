@@ -9,9 +9,8 @@ import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
-from controller.core.servo.servo_step import resolve, tool_state
 from controller.core.settings import settings_from
-from foundation.configuration import merged, parse_overrides
+from foundation.configuration import merged
 from laboratory.experiments.positioning import axes
 from laboratory.experiments.positioning.axes import JSON, Axis
 from laboratory.experiments.positioning.corrected_run import commissioned
@@ -69,7 +68,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     if task.get("cooling"):
         cools = {"errors": {"cooling_oil": {"enabled": True}}, "oil": {"temperature_degc": _WARM_DEGC}}
         own = merged(own, {"plant": cools})
-    over_all = merged(merged(overrides, own), parse_overrides(task.get("assignments", [])))
+    over_all = merged(overrides, own)
     settings = load_settings(config_dir, over_all)
     settings = commissioned(config_dir, over_all, settings, task["seed"])
     return DrawnMachine(settings, mass_kg, rng)
@@ -116,12 +115,6 @@ def stepped(loop: ClosedLoop) -> None:
     fault = loop.view.fault
     if fault is not FaultCode.NONE:
         raise MeasurementFailed(f"fault.{fault.name.lower()}", f"{1e-9 * loop.now_ns:.1f} s after the start")
-
-
-def left(loop: ClosedLoop) -> np.ndarray:
-    """What is left to the desired pose, by the encoders: joint-equivalent error (6,), rad."""
-    tool = tool_state(loop.settings.table, np.array(loop.view.q_meas))
-    return np.array(resolve(tool, loop.state.motion.desired, loop.settings.servo.gains, np.zeros(6)).q_error)
 
 
 def machines(runs: int, first: int, kinds: str) -> Iterator[JSON]:

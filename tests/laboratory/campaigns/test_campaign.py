@@ -3,6 +3,7 @@
 import math
 import os
 import shutil
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import distributed
 import numpy as np
 import pytest
 
-from laboratory.campaigns import campaign, workforce
+from laboratory.campaigns import campaign
 from laboratory.campaigns.campaign import (
     CampaignRequest,
     configuration_of,
@@ -31,7 +32,7 @@ def run_campaign(
     out: Path, run: Any, tasks: list[dict[str, Any]], config_dir: Path = CONFIGURED, **options: Any
 ) -> list[dict[str, Any]]:
     """The rows of a campaign."""
-    return campaign.run_campaign(CampaignRequest(config_dir, out, **options), run, tasks, "test").rows
+    return campaign.run_campaign(CampaignRequest(config_dir, out, **options), run, tasks, "test")[0]
 
 
 def measured(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
@@ -42,15 +43,8 @@ def measured(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
         raise ZeroDivisionError("a bug")
     if task.get("dies"):
         os._exit(1)
+    time.sleep(task.get("seconds", 0.0))
     return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan}
-
-
-def resigning(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
-    """A run during which its worker leaves the cluster for good."""
-    worker = distributed.get_worker()
-    worker.loop.add_callback(worker.close)
-    time.sleep(1.0)
-    return {}
 
 
 def tasks(count: int, **more: Any) -> list[dict[str, Any]]:
@@ -88,16 +82,16 @@ def cluster() -> Any:
     )  # fmt: skip
 
 
-def test_an_existing_scheduler_does_the_runs_until_its_workers_have_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(workforce, "_PATIENCE_S", 1.0)
+def test_an_existing_scheduler_does_the_runs_until_it_goes_away(tmp_path: Path) -> None:
     with cluster() as there:
         rows = run_campaign(tmp_path, measured, tasks(3), scheduler=there.scheduler_address)
         assert [row["twice"] for row in rows] == [0, None, 4]
+        threading.Timer(1.0, there.close).start()
+        long = {"key": "last", "number": 1, "seconds": 3.0}
         with pytest.raises(LinkLost) as refused:
-            run_campaign(tmp_path, resigning, tasks(3), scheduler=there.scheduler_address)
-    assert refused.value.cause == "link.workers_lost"
+            run_campaign(tmp_path, measured, [long], scheduler=there.scheduler_address)
+    assert refused.value.cause == "link.scheduler_lost"
+    assert len(read_rows(tmp_path / "rows.csv")) == 3
 
 
 @pytest.mark.realtime
@@ -127,7 +121,7 @@ def test_the_configuration_is_the_function_the_files_and_the_task(configured: Pa
         return configuration_of(evidence_of(function, config_dir), {"key": "a", "number": 1} | task)
 
     assert hashed(measured) == hashed(measured, copied), "the same files elsewhere are the same evidence"
-    assert len({hashed(measured), hashed(resigning), hashed(measured, number=2)}) == 3
+    assert len({hashed(measured), hashed(tasks), hashed(measured, number=2)}) == 3
 
 
 MEASURES = "nonsense://x"

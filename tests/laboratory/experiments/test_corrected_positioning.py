@@ -96,7 +96,7 @@ def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
 
 def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
     rows = [row(float(e), std=3.0) for e in np.random.default_rng(2).normal(size=200)]
-    low, high = chance_band(200)
+    low, high = chance_band(400)
     assert nees(rows, "look1_before") < low < 1.0 < high
     assert "one look: error² over predicted variance, mean" in missed(rows)
 

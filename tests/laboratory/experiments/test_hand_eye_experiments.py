@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from laboratory.campaigns.campaign import CampaignRequest
+from laboratory.campaigns.experiment import Finished, NoSettings
 from laboratory.experiments.hand_eye import localisation, scenes
+from laboratory.experiments.hand_eye.hua import localisation_tables, localisation_verdict
 from laboratory.experiments.hand_eye.noise_sweep import noise_level
 from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, attempted, rows_of
 from testbed.cli.main import app
@@ -44,23 +47,37 @@ def test_small_sweep_reaches_the_bound_and_repeats() -> None:
 
 def test_small_localisation_favours_the_robust_solver() -> None:
     asked = {"seed": 1, "repetitions": 10}
-    made = [localisation.calibration_row(CONFIGS, asked | {"run": run})["entries"] for run in range(2)]
-    everything = {(r.method, r.samples): r for r in localisation.rows_of(made)}
-    robust = everything["robust", "all 17"]
-    assert robust.error_mm < everything["dqcr", "12 kept by hand"].error_mm
-    assert everything["dqcr", "12 kept by hand"].paper_mm == 2.9
-    assert everything["tsai", "12 kept by hand"].paper_recognised_percent == 79.0
-    assert everything["dqcr", "all 17"].error_mm > 5.0
+    rows = [localisation.calibration_row(CONFIGS, asked | {"run": run}) | {"failure": None} for run in (0, 1)]
+    errors = localisation.errors_of(row["entries"] for row in rows)
+    assert errors["robust", "all 17"].shape == (2, 3, 10)
+    mean = {key: float(mm.mean()) for key, mm in errors.items()}
+    assert mean["robust", "all 17"] < mean["dqcr", "12 kept by hand"]
+    assert mean["dqcr", "all 17"] > 5.0
+    done = Finished(CampaignRequest(CONFIGS, CONFIGS), NoSettings(), (), rows, 0)
+    assert localisation_verdict(done)[0].met
+    cells = [list(column.cells) for column in localisation_tables(done)[0].columns]
+    assert cells[0][0] == "tsai"
+    assert [column[0] for column in cells[3:]][::2] == ["4.4", "79 %"]
+
+
+def test_a_method_that_refuses_is_counted_and_is_no_number() -> None:
+    entry = ["robust", "all 17", [[None, None]] * 3]
+    rows = [{"entries": [entry, ["dqcr", "12 kept by hand", [[1.0, 3.0]] * 3]], "failure": None}]
+    rows += [{"entries": [["robust", "all 17", [[1.0, 5.0]] * 3]], "failure": None}]
+    done = Finished(CampaignRequest(CONFIGS, CONFIGS), NoSettings(), (), rows, 0)
+    assert localisation_verdict(done)[0].met is False
+    (shown,) = localisation_tables(done)
+    assert [next(iter(column.cells)) for column in shown.columns][2::2] == ["3.00", "50%", "1"]
 
 
 def test_small_stress_has_no_improper_answer() -> None:
-    bad = rows_of(BAD_SAMPLES, *attempted(BAD_SAMPLES, range(4), 1))
+    bad = rows_of(BAD_SAMPLES, attempted(BAD_SAMPLES, range(4), 1))
     assert not any(r.improper for r in bad)
     robust = next(r for r in bad if r.method == "robust")
     assert robust.found == 1.0
     assert robust.rotation_median_deg < 0.3
     few = attempted(SMALL_ROTATIONS, range(4), 1, [Method.ROBUST, Method.DQCR])
-    assert rows_of(SMALL_ROTATIONS, *few)[0].refused == 0
+    assert rows_of(SMALL_ROTATIONS, few)[0].refused == 0
 
 
 def samples_file(tmp_path: Path) -> tuple[Path, Array]:

@@ -63,7 +63,7 @@ def of_the_paper(seeds: tuple[int, ...]) -> float:
 
 def robust() -> tuple[float, float]:
     """Median errors of the robust solver, degrees and mm, with 2 of 15 samples bad."""
-    (row,) = rows_of(BAD_SAMPLES, *attempted(BAD_SAMPLES, range(20), 1, [Method.ROBUST]))
+    (row,) = rows_of(BAD_SAMPLES, attempted(BAD_SAMPLES, range(20), 1, [Method.ROBUST]))
     return row.rotation_median_deg, row.translation_median_mm
 
 

@@ -26,8 +26,7 @@ def test_mobile_valves_park_and_stay() -> None:
     """A row counts from the real plant."""
     row = park_and_watch(CONFIGS, TASK | {"minutes": 0.2})
     assert 3.0 < row["settled_s"] < 30.0
-    assert min(row["moved_mm"], row["all_mm"]) > 0.0
-    assert max(row["moved_mm"], row["all_mm"]) < row["allowed_mm"]
+    assert 0.0 < row["moved_mm"] < row["allowed_mm"]
     assert row["share"] > 0.9
 
 
@@ -75,15 +74,13 @@ def test_the_promise_is_kept_or_not_by_the_worst_run_of_each_kind() -> None:
     assert len({task["key"] for task in tasks}) == 4
     rows: list[dict[str, Any]] = [
         task | {"failure": None, "settled_s": 5.0, "moved_mm": 0.4 + 0.3 * k, "allowed_mm": 1.25,
-                "all_mm": 2.0, "share": 0.9, "unsettled": "SLEW LIFT" if k else None, "error_mrad": 0.4,
-                "jogs": 3}
+                "share": 0.9, "unsettled": "SLEW LIFT" if k else None}
         for k, task in enumerate(tasks)
     ]  # fmt: skip
     done = Finished(REQUEST, options, tasks, rows, 0)
     moved = [check.met for check in parking_verdict(done) if check.what.startswith("moved")]
     assert moved == [True, True, True, False]
     assert list(parking_tables(done)[0].columns[-1].cells) == ["met", "met", "met", "NOT met"]
-    assert list(parking_tables(done)[0].columns[5].cells) == ["0", "2", "2", "2"]
     failed = Finished(REQUEST, options, tasks, [rows[0] | {"failure": "fault"}, *rows[1:]], 0)
     assert parking_verdict(failed)[0].met is False
     never = Finished(REQUEST, options, tasks, [row | {"settled_s": None} for row in rows], 0)

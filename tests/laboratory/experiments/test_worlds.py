@@ -63,7 +63,7 @@ def test_the_plant_can_be_stepped_as_it_was_drawn(name: WorldName) -> None:
 
 
 @pytest.mark.parametrize("name", [WorldName.REAL, WorldName.CRANE_REAL])
-def test_a_real_world_has_every_axis_in_it_and_says_what_was_not_kept(name: WorldName) -> None:
+def test_a_real_world_has_every_axis_in_it(name: WorldName) -> None:
     world: DrawnWorld = WORLDS[name]
     made = draw(CONFIGS, 11, world.arm, world)
     assert made == draw(CONFIGS, 11, world.arm, world)
@@ -71,5 +71,4 @@ def test_a_real_world_has_every_axis_in_it_and_says_what_was_not_kept(name: Worl
     for axis in world.axes:
         beside = leaves(axis.draw(np.random.default_rng(0), usual(world.arm)))
         assert beside.keys() <= changed.keys(), axis.name
-    assert made.shown["unreachable"] + made.shown["unseen"] > 0
     assert abs(made.shown["disparity_px"]) <= 3.5
