@@ -13,23 +13,24 @@ from tests.house import measures
 # names what was asked for, and lowers another by as much. A patch may exceed it by PATCH; the next cut brings
 # the house below again (tests/packaging/test_contributions.py always adds one patch more).
 BUDGET = {
-    "lines of source": 82_556,
-    "statements of source": 41_119,
+    "lines of source": 81_862,
+    "statements of source": 40_712,
     "statements of ROS 2": 877,
-    "statements of conformance": 4_271,
-    "statements of laboratory": 1_974,
+    "statements of conformance": 4_242,
+    "statements of laboratory": 1_758,
     "statements of structured text": 2_579,
-    # Asked for: what is wrong in a user's input is named in our words. For it went five cases of couplers.
-    "statements of the product": 31_410,
-    "lines that the three services import": 49_865,
+    "statements of the product": 31_244,
+    "lines that the three services import": 49_684,
     "lines of tests": 54_160,
-    "statements of tests": 29_074,
+    # Asked for: headings name every angle's axis, a stop behind a request that waits. For it went 400 of
+    # source.
+    "statements of tests": 29_124,
     # Asked for: the console holds time and shows its pace. For it went the fold of the valves' trials by eye.
     "lines of structured text, JavaScript, CSS and HTML": 8_493,
     "modules": 591,
     # Asked for: the page of the plant's clock (650 words) and its decision. For it went eight decisions and
     # the words of overload.
-    "words of pages": 46_301,
+    "words of pages": 46_295,
     "words of the README": 686,
     "configuration keys": 530,
     "constants of vision without a tag": 313,

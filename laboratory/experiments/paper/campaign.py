@@ -4,6 +4,7 @@ All of them share one directory of rows. A table or a figure asks for the measur
 or ``match``, and those that are there are not measured again.
 """
 
+import math
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -97,8 +98,8 @@ def paper_tables(done: Finished[PaperSettings]) -> list[rich.Table]:
     headings = (
         "",
         "",
-        "paper",
-        "ours",
+        "paper, σ",
+        "ours, σ",
         "runs",
         "ratio",
         "means",
@@ -142,8 +143,8 @@ def comparison_cells(beside: list[Compared]) -> list[list[str]]:
         [
             made.part if index == 0 or made.part != beside[index - 1].part else "",
             made.axis,
-            f"{made.paper:g}",
-            f"{made.mean:.1f}",
+            f"{made.paper:g}" + ("" if math.isnan(made.paper_std) else f" ± {made.paper_std:.2g}"),
+            f"{made.mean:.1f} ± {made.std:.1f}",
             str(made.runs),
             f"{made.ratio:.2f}",
             ("within 2" if made.reached else "OUTSIDE 2") if made.judged else "",

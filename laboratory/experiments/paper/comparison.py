@@ -1,5 +1,6 @@
-"""The paper's tables beside ours: means, ratios, and whether its conclusions hold on our arm."""
+"""The paper's tables beside ours: means, spreads, ratios, and whether its conclusions hold on our arm."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,12 +19,15 @@ _NEAR_ZERO_DEG = 3.0  # what the paper's figure 5 calls close to zero, at its ow
 
 
 class Part(NamedTuple):
-    """A block of a table: the paper's means of x, y and z, and the rows' ``column`` of an axis."""
+    """A block of a table: the paper's means of x, y and z, the rows' ``column`` of an axis, and the standard
+    deviations of the single measurements, where the paper lists them.
+    """
 
     title: str
     means: tuple[float, float, float]
     column: str
     judged: bool = True
+    stds: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
 
 class Table(NamedTuple):
@@ -39,8 +43,15 @@ TABLES = {
         "Table 2: line equation",
         "line",
         (
-            Part("rotation after orientation adjustment, °", (1.58, 1.57, 6.64), "oriented_r{}_deg"),
-            Part("position after the input, mm", (24.0, 29.0, 338.0), "input1_{}_mm"),
+            Part(
+                "rotation after orientation adjustment, °",
+                (1.58, 1.57, 6.64),
+                "oriented_r{}_deg",
+                stds=(0.77, 0.58, 4.47),
+            ),
+            Part(
+                "position after the input, mm", (24.0, 29.0, 338.0), "input1_{}_mm", stds=(16.2, 18.6, 93.8)
+            ),
         ),
     ),
     "table3": Table(
@@ -55,8 +66,18 @@ TABLES = {
         "Table 4: trajectory matching",
         "match",
         (
-            Part("position after the first input, mm", (7.6, 27.4, 95.9), "input1_{}_mm"),
-            Part("position after the second input, mm", (3.3, 1.2, 92.3), "input2_{}_mm"),
+            Part(
+                "position after the first input, mm",
+                (7.6, 27.4, 95.9),
+                "input1_{}_mm",
+                stds=(4.64, 4.5, 13.7),
+            ),
+            Part(
+                "position after the second input, mm",
+                (3.3, 1.2, 92.3),
+                "input2_{}_mm",
+                stds=(2.09, 0.79, 10.9),
+            ),
         ),
     ),
 }
@@ -71,8 +92,10 @@ class Compared(NamedTuple):
     part: str
     axis: str
     paper: float
+    paper_std: float
     runs: int
     mean: float
+    std: float
     judged: bool
 
     @property
@@ -89,15 +112,19 @@ class Compared(NamedTuple):
 def compared(name: str, rows: Sequence[Row]) -> list[Compared]:
     """Every figure of table ``name`` beside ours, from rows of its kind; absolute values, as in the paper."""
     return [
-        _beside(part, axis, paper, values(rows, part.column.format(axis)))
+        _beside(part, axis, values(rows, part.column.format(axis)))
         for part in TABLES[name].parts
-        for axis, paper in zip("xyz", part.means, strict=True)
+        for axis in "xyz"
     ]
 
 
-def _beside(part: Part, axis: str, paper: float, ours: Array) -> Compared:
-    mean = float(np.abs(ours).mean()) if len(ours) else float("nan")
-    return Compared(part.title, axis, paper, len(ours), mean, part.judged and axis != "z")
+def _beside(part: Part, axis: str, ours: Array) -> Compared:
+    k, size = "xyz".index(axis), np.abs(ours)
+    mean, std = (
+        (float(size.mean()), float(size.std(ddof=len(size) > 1))) if len(size) else (math.nan, math.nan)
+    )
+    judged = part.judged and axis != "z"
+    return Compared(part.title, axis, part.means[k], part.stds[k], len(size), mean, std, judged)
 
 
 def values(rows: Sequence[Row], name: str) -> Array:

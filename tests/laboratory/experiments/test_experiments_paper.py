@@ -55,6 +55,8 @@ def test_figures_are_compared_by_their_means_of_absolute_values() -> None:
     x, y, z = beside[3:]
     assert (x.runs, x.mean, x.ratio) == (2, 30.0, 30.0 / 24.0)
     assert (x.judged, x.reached) == (True, True)
+    assert x.std == pytest.approx(10.0 * math.sqrt(2.0))
+    assert comparison_cells(beside)[3][2:4] == ["24 ± 16", "30.0 ± 14.1"]
     assert (y.judged, y.reached) == (True, False)  # 65 against 29
     assert not z.judged
     cells = comparison_cells(beside)

@@ -144,54 +144,31 @@ def test_angles_in_radians_are_asked_about_and_can_be_read(tmp_path: Path) -> No
         read_robot_poses(tmp_path / "poses.txt", PoseForm.EULER_RAD)
 
 
-@pytest.mark.parametrize("form", [PoseForm.QUATERNION_XYZW, PoseForm.QUATERNION_WXYZ])
-@pytest.mark.parametrize("last", ["qx qy qz qw", "qw qx qy qz"])
-def test_a_heading_tells_the_order_and_unit_of_columns(tmp_path: Path, form: PoseForm, last: str) -> None:
+NAMED = {  # columns → the axes that a person reads there
+    "qx qy qz qw": "xyzw", "qw qx qy qz": "wxyz", "q0 q1 q2 q3": "wxyz", "qs qx qy qz": "wxyz",
+    "w i j k": "wxyz", "qr qi qj qk": "wxyz", "qi qj qk qr": "xyzw", "rot.x rot.y rot.z rot.w": "xyzw",
+    "roll pitch yaw": "xyz", "yaw_deg pitch_deg roll_deg": "zyx", "rx ry rz": "xyz", "W P R": "xyz",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("turned", NAMED)
+@pytest.mark.parametrize("step", [1, -1])
+def test_a_heading_tells_unit_order_and_axes_of_columns(tmp_path: Path, turned: str, step: int) -> None:
+    """Whatever the form says of a quaternion, or the order of Euler angles."""
     hand, _ = samples(4)
-    turns = np.roll(Rotation.from_matrix(hand[:, :3, :3]).as_quat(), int(last[1] == "w"), axis=1)
-    rows = np.column_stack([1e3 * hand[:, :3, 3], turns])
-    lines = [" ".join(f"{v:.12f}" for v in row) for row in rows]
-    (tmp_path / "poses.txt").write_text("\n".join([f"x_mm y_mm z_mm {last}", *lines]))
-    np.testing.assert_allclose(read_robot_poses(tmp_path / "poses.txt", form).X_BT, hand, atol=1e-9)
-    (tmp_path / "poses.txt").write_text("\n".join(lines))
-    with pytest.raises(RequestRefused, match=r"line 1: translation .* in millimetres"):
-        read_robot_poses(tmp_path / "poses.txt", form)
-
-
-QUATERNIONS = (
-    "q0 q1 q2 q3", "qs qx qy qz", "w i j k", "qr qi qj qk", "qi qj qk qr", "rot.x rot.y rot.z rot.w",
-)  # fmt: skip
-ANGLES = ("roll pitch yaw", "yaw_deg pitch_deg roll_deg", "rx ry rz", "W P R")
-
-
-@pytest.mark.parametrize("turned", [*QUATERNIONS, *ANGLES])
-@pytest.mark.parametrize("turns_first", [False, True])
-def test_names_of_columns_tell_what_turns_about_which_axis(
-    tmp_path: Path, turned: str, turns_first: bool
-) -> None:
-    """Whatever the order of Euler angles, each is that about the axis that its column names."""
-    hand, _ = samples(4)
-    names, rotations = turned.split(), Rotation.from_matrix(hand[:, :3, :3])
-    axes = [_last_letter(name, names) for name in names]
-    if turned in QUATERNIONS:
-        cells = rotations.as_quat()[:, ["xyzw".index(axis) for axis in axes]]
-    else:
-        cells = rotations.as_euler("ZYX", degrees=True)[:, ["zyx".index(axis) for axis in axes]]
-    columns, heads = [hand[:, :3, 3], cells], ["x y z", turned]
-    order = slice(None, None, -1 if turns_first else 1)
-    rows = np.column_stack(columns[order])
-    lines = [" ".join(f"{v:.12f}" for v in row) for row in rows]
-    (tmp_path / "poses.txt").write_text("\n".join([" ".join(heads[order]), *lines]))
-    form = PoseForm.QUATERNION_XYZW if turned in QUATERNIONS else PoseForm.EULER
-    np.testing.assert_allclose(read_robot_poses(tmp_path / "poses.txt", form).X_BT, hand, atol=1e-9)
-
-
-def _last_letter(name: str, names: list[str]) -> str:
-    """The axis of a column, as a person reads it."""
-    words = {"roll": "x", "pitch": "y", "yaw": "z", "yaw_deg": "z", "pitch_deg": "y", "roll_deg": "x"}
-    if names == ["W", "P", "R"]:
-        return "xyz"["WPR".index(name)]
-    return words.get(name) or "wxyzwxyzwwxyz"["0123wxyzsrijk".index(name[-1])]
+    axes, rotations = NAMED[turned], Rotation.from_matrix(hand[:, :3, :3])
+    forms, cells = [PoseForm.QUATERNION_XYZW, PoseForm.QUATERNION_WXYZ], rotations.as_quat()
+    if len(axes) == 3:
+        forms, cells = [PoseForm.EULER], rotations.as_euler("ZYX", degrees=True)[:, ::-1]
+    turns = cells[:, ["xyzw".index(axis) for axis in axes]]
+    rows = np.column_stack([1e3 * hand[:, :3, 3], turns][::step])
+    heading, lines = (
+        " ".join(["x_mm y_mm z_mm", turned][::step]),
+        [" ".join(map(repr, r)) for r in rows.tolist()],
+    )
+    (tmp_path / "poses.txt").write_text("\n".join([heading, *lines]))
+    for form in forms:
+        np.testing.assert_allclose(read_robot_poses(tmp_path / "poses.txt", form).X_BT, hand, atol=1e-9)
 
 
 def test_names_that_do_not_tell_which_column_is_w_are_asked_about(tmp_path: Path) -> None:
