@@ -7,16 +7,14 @@ from typing import NamedTuple
 NUMBER, NAME, SIGN, WRONG, END = "number", "name", "sign", "wrong", "end"
 _LONGEST = 255
 
-_COMMENT = "(?!)"
-for _ in range(5):  # so many within each other
-    _COMMENT = rf"\(\*(?:(?!\(\*|\*\)).|{_COMMENT})*+\*\)"
+_COMMENTS = re.compile(r"\(\*|\*\)")  # begin and end, also within each other
 # Letters and digits are those of ASCII, as in TwinCAT. A pragma that says how parts lie, or what is compiled,
 # is none of the harmless ones.
 _TOKEN = re.compile(
-    rf"(?P<space>[\s\ufeff]+|//[^\n]*|/\*.*?\*/|{_COMMENT}"
+    r"(?P<space>[\s\ufeff]+|//[^\n]*|/\*.*?\*/"
     r"|\{\s*(?i:attribute\s+'(?!pack_mode)|region|endregion|warning|info|text)[^{}]*\})"
     r"|(?P<name>[A-Za-z_]\w*+(?:(?!\#)|(?=\#[A-Za-z_])))"
-    r"|(?P<open>\(\*.*)"
+    r"|(?P<open>\(\*)"
     r"|(?P<time>(?i:L?TIME|L?T|L?DATE|L?D|L?TOD|L?DT|TIME_OF_DAY|DATE_AND_TIME)\#[\w.:+-]*)"
     r"|(?P<number>(?:[A-Za-z]+\#[+-]?)?(?:(?:2|8|16)\#[0-9A-Fa-f][0-9A-Fa-f_]*|\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?|\d[\d_]*(?!\w)))"
     r"|(?P<sign>:=|=>|<=|>=|<>|\.\.|\*\*|[-+*/=<>()\[\]:;,.#&])"
@@ -95,11 +93,25 @@ class Token(NamedTuple):
     line: int
 
 
+def _comment_end(text: str, begin: int) -> int | None:
+    """Where the comment from ``begin`` on ends, with those within it; None: nowhere."""
+    depth = 0
+    for mark in _COMMENTS.finditer(text, begin):
+        depth += 1 if mark[0] == "(*" else -1
+        if depth == 0:
+            return mark.end()
+    return None
+
+
 def tokens(text: str) -> Iterator[Token]:
     """The tokens of ``text``, the last one END."""
     at, line = 0, 1
     while match := _TOKEN.match(text, at):
         kind, found, at = str(match.lastgroup), match[0], match.end()
+        if kind == "open":
+            end = _comment_end(text, match.start())
+            kind, at = ("open", len(text)) if end is None else ("space", end)
+            found = text[match.start() : at]
         if kind in (NUMBER, NAME, SIGN) and len(found) <= _LONGEST:
             yield Token(kind, found, "AND" if found == "&" else found.upper(), line)
         else:
