@@ -87,7 +87,7 @@ setup-dev: $(DEV_STAMP)  ## that and what tests
 demo: $(RUN_STAMP)  ## the whole loop, three processes, as fast as they go; verdict against 5 mm (ARGS="--seed 3")
 	$(BIN)/longreach demo --pace 0 $(ARGS)
 
-test: $(DEV_STAMP)  ## the product's tests, five minutes of two cores (ARGS="-k kinematics")
+test: $(DEV_STAMP)  ## the product's tests, five to nine minutes of two cores (ARGS="-k kinematics")
 	@$(PYTEST) $(LABORATORY:%=--ignore=%) $(ARGS)
 
 # One budget of retries for all runs (tests/support/real_time.py).
