@@ -261,15 +261,15 @@ class DoorConnection(asyncio.Protocol):
 
     def _begin_ahead(self) -> None:
         """Begin a stop that came behind a request which is still being answered: its own answer waits."""
-        if self._stopping is not None or self._ahead is not None or self._door.stops is None:
+        if self._stopping or self._ahead or not self._received.startswith(b"POST "):  # next to no work
             return
+        line, stops = bytes(self._received[:_FIRST_LINE]).partition(b"\r\n")[0], self._door.stops
         with contextlib.suppress(RequestUnreadable):  # which is answered in its turn, as a refusal is
-            head = take_head(bytearray(self._received))
-            stop = self._door.stop_of(head.target) if head is not None and head.method == "POST" else None
-            if head is None or stop is None or self._door.guard.refusal(self._guarded_request(head, stop)):
-                return
-            if (begun := self._door.stops.begin(stop)) is not None:
-                self._ahead = asyncio.ensure_future(begun)
+            head = take_head(bytearray(self._received)) if stops and self._door.is_stop(line) else None
+            stop = None if head is None else self._door.stop_of(head.target)
+            if head and stop and stops and not self._door.guard.refusal(self._guarded_request(head, stop)):
+                begun = stops.begin(stop)
+                self._ahead = None if begun is None else asyncio.ensure_future(begun)
 
     def _admitted(self, head: Head | None) -> Head | None:
         """The head of a request whose body is wanted, a stop's as its path is written here; None: no further.
