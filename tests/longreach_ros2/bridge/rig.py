@@ -142,6 +142,14 @@ def ended(process: "subprocess.Popen[str]") -> None:
         assert process.wait(20.0) == 0
 
 
+def enable(talk: Talk, within_s: float = 20.0) -> None:
+    """Enable the arm; it is refused while services that have just started still find each other."""
+    until_s = time.monotonic() + within_s
+    while not (answer := talk.service(name="enable"))[0]:
+        assert time.monotonic() < until_s, answer
+        time.sleep(0.3)
+
+
 def at_rest(talk: Talk, within_s: float = 20.0) -> list[float]:
     """The joints once they stand still."""
     end_s, before = time.monotonic() + within_s, talk.joints()

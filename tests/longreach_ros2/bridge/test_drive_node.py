@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from testbed.recordings.plant_truth import read_truth
-from tests.longreach_ros2.bridge.rig import Talk, at_rest, bridged, needs_ros, stranger
+from tests.longreach_ros2.bridge.rig import Talk, at_rest, bridged, enable, needs_ros, stranger
 
 pytestmark = [pytest.mark.realtime, needs_ros]
 
@@ -31,7 +31,7 @@ def talk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Talk]:
 def enabled(talk: Talk) -> Talk:
     if talk.status()["group_state"] == "ERROR_STOP":
         assert talk.service(name="reset")[0]
-    assert talk.service(name="enable")[0]
+    enable(talk)
     at_rest(talk)
     return talk
 
@@ -146,7 +146,7 @@ def test_a_goal_whose_client_has_gone_is_stopped(enabled: Talk) -> None:
 @pytest.mark.slow("three processes start")
 def test_a_node_that_ends_stops_what_it_follows_and_ends(tmp_path: Path) -> None:
     with bridged(tmp_path, TIMED_DOMAIN) as rig:
-        assert rig.talk.service(name="enable")[0]
+        enable(rig.talk)
         assert rig.talk.send(**goal(np.array(at_rest(rig.talk)) + WAY, 60.0))
         rig.process.terminate()
         assert rig.process.wait(20.0) == 0
@@ -166,7 +166,7 @@ def test_the_arm_stops_in_the_protocols_time_when_who_drives_it_is_killed(tmp_pa
     """Clause 12.8 with a silence_ms that lets a busy machine be late; the plant's recording tells."""
     with bridged(tmp_path, TIMED_DOMAIN, silence_ms=SILENCE_MS, recorded=True) as rig:
         talk = rig.talk
-        assert talk.service(name="enable")[0]
+        enable(talk)
         here = np.array(at_rest(talk))
         if who == "bridge":
             talk.send(**goal(here + 3 * WAY, 20.0))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.longreach_ros2.bridge.rig import Talk, at_rest, in_lockstep, needs_ros
+from tests.longreach_ros2.bridge.rig import Talk, at_rest, enable, in_lockstep, needs_ros
 
 pytestmark = [pytest.mark.realtime, needs_ros]
 DOMAIN = 66
@@ -41,7 +41,7 @@ def test_a_strangers_timer_follows_the_machines_time_and_stands_while_it_stands(
 
 @pytest.mark.slow("the arm moves for 20 s of its time")
 def test_a_trajectory_takes_its_time_on_the_machines_clock(talk: Talk) -> None:
-    assert talk.service(name="enable")[0]
+    enable(talk)
     target = np.array(talk.joints()) + WAY
     before_s, real_s = talk.passed()[0], time.monotonic()
     points = [{"t": 20.0, "q": target.tolist(), "v": STILL}]
