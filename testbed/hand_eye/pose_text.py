@@ -100,7 +100,7 @@ def heading(
                 at = [others[place.index(axis)] for axis in "xyz"]
                 return at + [first + turn.index(axis) for axis in turns], length
         if len(axes) == 7 and len(turned) == 4 and columns is None:
-            why = f"which column is w is not told by {line.strip()[:80]!r}: name them qw qx qy qz"
+            why = f"which column is w does not follow from {line.strip()[:80]!r}: name them qw qx qy qz"
             raise RequestRefused("refused.hand_eye.format", f"{path.name}: {why}")
     return columns, length
 
@@ -197,9 +197,9 @@ def read_robot_poses(
             "refused.hand_eye.format", f"Euler order {order!r}: such as ZYX or xyz is wanted"
         )
     angles = form in (PoseForm.EULER, PoseForm.EULER_RAD)
-    told = W_FIRST if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else None
+    usual = W_FIRST if form in (PoseForm.QUATERNION_WXYZ, PoseForm.ABB) else None
     turns = order.lower() if angles and len(set(order)) == 3 else "wxyz"
-    columns, written = heading(path, turns, told)
+    columns, written = heading(path, turns, usual)
     columns = columns or (list(range(6)) if angles else W_LAST)
     scale = unit_scale(unit or written or ("mm" if form in _IN_MM else "m"))
     poses: list[Array] = []

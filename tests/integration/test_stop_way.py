@@ -31,8 +31,6 @@ from tests.support.patience import PATIENT
 pytestmark = [pytest.mark.realtime, pytest.mark.slow("three services start"), pytest.mark.timeout(900)]
 
 QUIET_MS, BUSY_MS = 50.0, 250.0
-# Beside another worker's tests the slowest of forty says what else the machine did: nine in ten are judged.
-JUDGED = 90 if "PYTEST_XDIST_WORKER" in os.environ else 99
 STOPS = 40
 SEED = 20261129
 SLOW = (
@@ -97,7 +95,7 @@ def measured(port: int, count: int = STOPS) -> np.ndarray:
 def judged(what: str, taken_ms: np.ndarray, limit_ms: float) -> None:
     p50, p99 = np.percentile(taken_ms, [50, 99])
     print(f"{what:44} {p50:7.1f} {p99:7.1f} {taken_ms.max():7.1f} ms of {len(taken_ms)}")
-    assert np.percentile(taken_ms, JUDGED) <= limit_ms
+    assert p99 <= limit_ms
 
 
 @contextlib.contextmanager
@@ -125,7 +123,7 @@ def busy_loop() -> Iterator[None]:
 
 
 def test_in_peace(rig: Running) -> None:
-    quiet = os.getloadavg()[0] < 1.5 and JUDGED == 99  # else others have the processor
+    quiet = os.getloadavg()[0] < 1.5  # else others have the processor
     judged("in peace", measured(port_of(rig), 100), QUIET_MS if quiet else BUSY_MS)
 
 
@@ -187,7 +185,7 @@ def test_the_arm_stops_whatever_holds_the_vision_pc_up(tmp_path: Path) -> None:
         moving(rig.face, 0.3)
         with attacked(port, "tiny_chunks", SEED):
             asked_ns["tiny chunks"] = time.monotonic_ns()
-            assert stop_ms(port) < (1e3 if JUDGED == 99 else 5e3)
+            assert stop_ms(port) < 1e3
         assert {each["state"] for each in rig.face.get("/operations").json()} <= {"cancelled", "failed"}
         moving(rig.face, -0.3)
         vision = rig.supervisor.children["vision_pc"].pid

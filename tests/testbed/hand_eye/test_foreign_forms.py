@@ -174,7 +174,7 @@ def test_a_heading_tells_unit_order_and_axes_of_columns(tmp_path: Path, turned: 
 def test_names_that_do_not_tell_which_column_is_w_are_asked_about(tmp_path: Path) -> None:
     """ABB's q1 is w, q4 is it in aerospace."""
     (tmp_path / "poses.txt").write_text("x y z q1 q2 q3 q4\n0.5 0 1 1 0 0 0\n")
-    with pytest.raises(RequestRefused, match="which column is w is not told by 'x y z q1 q2 q3 q4'"):
+    with pytest.raises(RequestRefused, match="which column is w does not follow from 'x y z q1 q2 q3 q4'"):
         read_robot_poses(tmp_path / "poses.txt", PoseForm.QUATERNION_XYZW)
     found = read_robot_poses(tmp_path / "poses.txt", PoseForm.QUATERNION_WXYZ)
     np.testing.assert_allclose(found.X_BT[0, :3, :3], np.eye(3), atol=1e-12)
