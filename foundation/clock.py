@@ -188,6 +188,13 @@ class PlantClock(asyncio.Protocol):
                 self._send(TickKind.HELD, self._tick.number)
             return await begun
 
+    async def until_held(self) -> None:
+        """Return when the tick is held on purpose; after UNANSWERED_S of wall time in any case."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(UNANSWERED_S):
+                while not self._held:
+                    await self._news.wait()
+
     async def join(self, period_ns: int = 0) -> None:
         """Return when the plant has told the time. ``period_ns``: of the part, 0 where it has none."""
         self._period_ns = period_ns

@@ -218,6 +218,8 @@ class Ticker:
         for part in parts[1:]:
             part.send(self._message(TickKind.TIME))
         for part in parts:
+            if part not in self.parts:  # it went while another one acted
+                continue
             if not (picture or part.has_news or part.name == CONTROLLER or now_ns >= part.next_ns):
                 part.send(self._message(TickKind.TIME))
                 continue

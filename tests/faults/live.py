@@ -175,7 +175,7 @@ async def live(
     transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)
     try:
         refused = machine.drives_another_arm and not any_arm
-        await until(lambda: refused or (link.connected and link.session.clock), 10.0)
+        await until(lambda: refused or link.connected, 10.0)
         async with httpx.AsyncClient(transport=transport, base_url="http://vision", timeout=30.0) as client:
             assert refused or (await client.post("/enable")).status_code == 200
             yield LiveRig(client, app, station, operations, machine, camera, log)

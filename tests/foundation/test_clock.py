@@ -20,6 +20,7 @@ from protocol.plant_clock import (
     decode,
     encode,
 )
+from vision_pc.shell.machine_clock import Goes, MachineClock
 
 MS = 1_000_000
 Program = Callable[["FakePlant", clock.PlantClock], Awaitable[None]]
@@ -226,6 +227,28 @@ def test_a_tick_is_held_on_purpose_and_let_go() -> None:
         goes = True
         await asyncio.sleep(0.01)  # anything that the loop does
         assert (await plant.heard()).kind is TickKind.DONE
+
+    following(program)
+
+
+def test_what_is_asked_between_two_ticks_begins_at_the_one_that_is_held() -> None:
+    async def program(plant: FakePlant, followed: clock.PlantClock) -> None:
+        machine = MachineClock()
+        machine.let_go(Goes.ON_REQUEST)
+        assert (await plant.tick()).kind is TickKind.HELD
+        async with machine.requested():
+            began_ns = clock.now_ns()
+            assert (await plant.heard()).kind is TickKind.DONE
+
+        async def asked_again() -> int:
+            async with machine.requested():
+                return clock.now_ns() - began_ns
+
+        again = asyncio.create_task(asked_again())
+        await asyncio.sleep(0.02)
+        assert not again.done(), "no tick is held yet"
+        assert (await plant.tick()).kind is TickKind.HELD
+        assert await again == 5 * MS
 
     following(program)
 

@@ -203,7 +203,7 @@ async def bench(
     operations = Operations(arm.halt, log)
     transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
     await endpoint.start()  # after the app, which takes longer to make than the link bears silence
-    await until(lambda: link.connected and link.session.clock)
+    await until(lambda: link.connected)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
         yield Bench(client, station, operations, controller, eyes, log)
     await operations.close()

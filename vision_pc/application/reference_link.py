@@ -130,8 +130,8 @@ class ReferenceLink:
     # What is known.
     @property
     def connected(self) -> bool:
-        """Return True if a session is open and a state has come in it."""
-        return self.session.connected and bool(self._states)
+        """Return True if a session is open, a state has come in it, and the controller's clock is known."""
+        return self.session.connected and bool(self._states) and self.session.clock is not None
 
     @property
     def tries_valves(self) -> bool:

@@ -1,8 +1,8 @@
 """When the plant's time passes, as the vision PC has it: always, on request, or not at all."""
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from enum import StrEnum
 
 from foundation import clock
@@ -80,13 +80,20 @@ class MachineClock:
         """A stop was sent: it is obeyed at the next tick, and seen soon after."""
         self._stopped_ns = self.now_ns
 
-    @contextmanager
-    def requested(self) -> Iterator[None]:
-        """A block in which a request is under way. Raises RequestRefused where time does not pass for it."""
+    @asynccontextmanager
+    async def requested(self) -> AsyncIterator[None]:
+        """A block in which a request is under way. Raises RequestRefused where time does not pass for it.
+
+        On request and alone, it begins at the tick that is held: after an answer that came between two ticks
+        it is the same one, however soon its client asks again.
+        """
         if self._goes is Goes.NEVER:
             raise RequestRefused(
                 "refused.clock_held", "the clock is held: nothing can be done before it goes"
             )
+        alone = self._goes is Goes.ON_REQUEST and not (self._requests or self.at_work())
+        if alone and isinstance(self._clock, clock.PlantClock):
+            await self._clock.until_held()
         self._requests += 1
         try:
             yield

@@ -239,8 +239,7 @@ class VisionService:
 
 def _at_work(application: VisionApplication, operations: Operations) -> bool:
     """Whether an operation runs, or controller, plant or camera are still to be there."""
-    link = application.controller
-    there = link.connected and link.session.clock is not None and application.camera.status().connected
+    there = application.controller.connected and application.camera.status().connected
     return operations.current is not None or not there
 
 

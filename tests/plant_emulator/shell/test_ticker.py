@@ -148,6 +148,18 @@ async def test_who_has_gone_is_not_waited_for_and_may_come_again() -> None:
         await answering
 
 
+async def test_who_goes_while_another_acts_is_not_waited_for() -> None:
+    async with machine() as made:
+        controller, vision = [await made.part(name) for name in PARTS]
+        tick = await vision.hear(TickKind.TICK)
+        made.ticker.changed.clear()
+        controller.close()
+        await made.ticker.changed.wait()
+        vision.say(TickKind.DONE, tick.number)
+        async with asyncio.timeout(5.0):
+            assert (await vision.answer()).number == tick.number + 1
+
+
 async def test_nothing_runs_ahead_of_the_wall_and_nothing_is_made_up_for() -> None:
     async with machine(pace=1.0) as made:
         controller, vision = [await made.part(name) for name in PARTS]

@@ -119,7 +119,7 @@ async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> Asy
     played.play(pictures.both)
     await played.start()
     opened = open_eyes(played, link, config, log)
-    await until(lambda: link.connected and link.session.clock and played.newest)
+    await until(lambda: link.connected and played.newest)
     yield Bench(played, controller, link, opened)
     opened.worker.close()
     await played.close()

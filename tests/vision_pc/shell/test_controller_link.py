@@ -52,7 +52,7 @@ async def link(controller: LoopbackController) -> AsyncIterator[ReferenceLink]:
     )
     link = endpoint.link
     await endpoint.start()
-    await until(lambda: link.connected and link.session.clock is not None)
+    await until(lambda: link.connected)
     yield link
     await endpoint.close()
 

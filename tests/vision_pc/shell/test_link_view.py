@@ -79,7 +79,7 @@ async def test_with_the_same_key_the_link_is_authenticated(key_file: Path) -> No
     endpoint = a_link(controller.port, log, key_file)
     link = endpoint.link
     await endpoint.start()
-    await until(lambda: link.connected and link.session.clock is not None)
+    await until(lambda: link.connected)
     assert (await link.command(CommandCode.ENABLE)).reason is Reason.ACCEPTED
     view = link_view(link)
     assert view.authenticated

@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -10,10 +11,14 @@ import httpx
 import pytest
 
 from foundation.recording.contents import contents
+from foundation.rest.guard import ANYBODY_HERE
+from foundation.rest.problems import RefusalLog
+from foundation.secret_source import bound_tcp
 from testbed.realtime.launch import free_port
 from tests.support.paths import CONFIGS
 from vision_pc.__main__ import main
 from vision_pc.shell.recording.vision_recorder import EVENT, FILE, LOG
+from vision_pc.shell.stops.door_process import DoorProcess
 
 pytestmark = pytest.mark.realtime
 
@@ -69,6 +74,16 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
     assert figures["recording"]["written"] > 0
     counted = {topic.name for channel, topic in recorded.topics.items() if recorded.counts.get(channel)}
     assert counted == {EVENT, LOG}  # it heard of nobody and saw nothing
+
+
+async def test_who_calls_before_the_door_has_started_waits_and_is_not_refused() -> None:
+    listener = bound_tcp("127.0.0.1", 0, "vision.api")
+    at = listener.getsockname()
+    door = DoorProcess(listener, "nowhere", ANYBODY_HERE, None, RefusalLog(None))
+    try:
+        socket.create_connection(at, timeout=5.0).close()
+    finally:
+        door.close()
 
 
 def test_a_sessions_directory_of_somebody_else_ends_it_with_status_2(

@@ -73,7 +73,7 @@ def while_requested(machine: MachineClock, stops: Collection[str]) -> Callable[[
         if request.method in _READS or path == _PATH or path in stops:
             yield
             return
-        with machine.requested():
+        async with machine.requested():
             yield
 
     return requested

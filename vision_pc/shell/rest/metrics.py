@@ -24,7 +24,11 @@ METRICS = (
     Series("memory_mb", "resident_memory_bytes", "Memory in use.", 1e6),
     *counters("link", "link_datagrams", _DATAGRAMS, "Datagrams from the controller: {}."),
     Series("link.longest_gap", "link_longest_gap_datagrams", "Most datagrams lost in a row."),
-    Series("reference_link.connected", "link_connected", "1: a session is open and a state has come in it."),
+    Series(
+        "reference_link.connected",
+        "link_connected",
+        "1: a session is open; a state and the clock have come in it.",
+    ),
     Series(
         "reference_link.authenticated", "link_authenticated", "1: every datagram of the session is signed."
     ),

@@ -38,7 +38,7 @@ class LinkTrouble(BaseModel):
 class LinkView(BaseModel):
     """The reference link: whether it is open and authenticated, and its counters on both sides."""
 
-    connected: bool = Field(description="a session is open and a state has come in it")
+    connected: bool = Field(description="a session is open; a state and the clock have come in it")
     authenticated: bool = Field(description="every datagram of the open session is signed")
     tries_valves: bool = Field(
         description="POST /enable alone begins a trial of the valves: the controller was started for that"

@@ -46,6 +46,7 @@ class DoorProcess:
         self.gone: Callable[[], None] = lambda: None
         given = Given(service, access._replace(advise=None, tokens=dict(access.tokens)), key)
         inherited = (listener.fileno(), theirs.fileno(), memory)
+        listener.listen()  # from now on: a process that is slow to start keeps its callers waiting
         with listener, theirs:
             self._process = started("vision_pc.shell.stops", pickle.dumps(given), inherited)
         os.close(memory)
