@@ -22,6 +22,9 @@ _LEAST_WAY_M = 0.05
 _MISREAD = 5.0  # [D] times less error from pose to pose: no odometry does that, another reading does
 _NEARER = 2.0  # [D] times, where turns fit so much better
 _LEAST_TURN = 0.01  # rad a step: less is noise
+_MOST_LATE = 10  # pairs by which the truth's clock may be off
+_OFF_CLOCK = 2.0  # times less error of turns at another time: a camera's noise is the same at all times
+_LEAST_DEG = 0.01  # of a turn: less is no camera's error
 
 
 class TrajectoryErrors(NamedTuple):
@@ -41,7 +44,7 @@ class TrajectoryErrors(NamedTuple):
         drift = "" if self.drift_percent is None else f", drift {self.drift_percent:.2f} %"
         return (
             f"{self.poses} poses over {self.length_m:.2f} m: ATE {self.ate_mm:.2f} mm,"
-            f" RPE {self.rpe_mm:.2f} mm {self.rpe_deg:.4f} deg a pair,"
+            f" RPE {self.rpe_mm:.2f} mm {self.rpe_deg:.4f} deg from pose to pose,"
             f" scale {self.scale:.4f}{drift}"
         )
 
@@ -74,7 +77,19 @@ def trajectory_errors(
     if fitting and (turned or errors.rpe_mm > _MISREAD * fits.rpe_mm):
         comparison = f"RPE {errors.rpe_mm:.2f} mm as given, {fits.rpe_mm:.2f} mm if its {words}"
         raise ConfigurationError("configuration.bad_trajectory", f"{name}: {comparison}: write it so")
+    if late := _late(estimates, truth):
+        why = f"its turns fit where its times are {late * period:g} s less: it has another clock; shift them"
+        raise ConfigurationError("configuration.bad_trajectory", f"{name}: {why}")
     return errors
+
+
+def _late(found: Array, true: Array) -> int:
+    """How many pairs too late the times of ``true`` are, by its turns; 0 where no others fit far better."""
+    most = min(_MOST_LATE, len(true) // 4)
+    mine, shifts = found[most : len(found) - most], range(-most, most + 1)
+    off_deg = {k: _errors(mine, true[most + k : len(true) - most + k]).rpe_deg for k in shifts}
+    best = min(shifts, key=lambda k: off_deg[k])
+    return best if off_deg[0] > _OFF_CLOCK * max(off_deg[best], _LEAST_DEG) else 0
 
 
 def _readings(found: Array, true: Array) -> Iterator[tuple[str, Array, Array]]:

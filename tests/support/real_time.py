@@ -19,7 +19,12 @@ import pytest
 
 LIMIT = 3
 RETRIED = "LONGREACH_RETRIED"
-RUN_BY = {"bench": "make bench", "docker": "make compose-test", "experiment": "make experiments"}
+RUN_BY = {
+    "bench": "make bench",
+    "docker": "make compose-test",
+    "experiment": "make experiments",
+    "realtime": "alone, after these",
+}
 _deselected: Counter[str] = Counter()
 
 
@@ -54,7 +59,7 @@ def pytest_deselected(items: list[pytest.Item]) -> None:
     """Count them by mark."""
     for item in items:
         marks = [mark for mark in RUN_BY if item.get_closest_marker(mark) is not None]
-        _deselected[marks[0] if marks else "-k"] += 1
+        _deselected[marks[0] if marks else "others"] += 1
 
 
 class OfWorkers:

@@ -51,6 +51,21 @@ def test_one_jump_is_one_error_from_pose_to_pose() -> None:
     assert errors.ate_mm > 100.0
 
 
+@pytest.mark.parametrize("late", [-7, -1, 0, 2, 10])
+def test_a_truth_by_another_clock_is_named(late: int) -> None:
+    angles = np.cumsum(0.05 + 0.03 * np.sin(0.7 * np.arange(60)))
+    true = np.stack(
+        [X_WC0 @ se3.transform(se3.exp_so3([0.0, a, 0.1 * a]), (a, 0.0, 3.0 * a)) for a in angles]
+    )
+    seen = poses(list(true))
+    times_s = 0.1 * (np.arange(60) + late)
+    if late == 0:
+        assert trajectory_errors(seen, times_s, true, "t").rpe_deg < 1e-6
+        return
+    with pytest.raises(ConfigurationError, match=f"its times are {0.1 * late:g} s less"):
+        trajectory_errors(seen, times_s, true, "t")
+
+
 def test_a_truth_in_another_reading_is_named() -> None:
     times_s, true = truth()
     noisy = poses([se3.transform(X[:3, :3], X[:3, 3] + 1e-3 * np.sin(7.0 * k)) for k, X in enumerate(path())])
