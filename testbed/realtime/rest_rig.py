@@ -185,6 +185,8 @@ def rest_client(url: str, token: bytes | None) -> httpx.Client:
         address = httpx.URL(url)
         if address.port is not None and not 0 < address.port < 1 << 16:
             raise httpx.InvalidURL(f"port {address.port} is not within 1…65535")
+        if address.scheme not in ("http", "https") or not address.host or address.query:
+            raise httpx.InvalidURL("scheme and host alone make the address of a service")
         return httpx.Client(base_url=address, timeout=_TIMEOUT_S, headers=presents, trust_env=False)
     except httpx.InvalidURL as error:
         raise LinkLost("link.rest", f"{url!r}: {error}; wanted http://HOST:PORT") from error

@@ -83,7 +83,10 @@ def test_what_events_ask_a_person_to_do_is_said_once() -> None:
     assert warnings_in(events) == [str(doubted)]
 
 
-@pytest.mark.parametrize("url", ["http://127.0.0.1:99999", "http://127.0.0.1:0", "http://[::1", "http://h:x"])
+@pytest.mark.parametrize("url", [
+    "http://127.0.0.1:99999", "http://127.0.0.1:0", "http://[::1", "http://h:x",
+    "127.0.0.1:8000", "localhost:8000", "ftp://127.0.0.1", "http:///", "http://127.0.0.1?x", " http://127.0.0.1",
+])  # fmt: skip
 def test_an_address_that_is_none_is_asked_nothing(url: str) -> None:
     """A port of 99999 was port 34463, which got the token."""
     with pytest.raises(LinkLost, match=r"wanted http://HOST:PORT") as refused:
