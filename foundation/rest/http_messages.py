@@ -100,6 +100,8 @@ def take_head(received: bytearray) -> Head | None:
         del received[:2]
     end = received.find(b"\r\n\r\n", 0, MOST_HEAD_BYTES)
     if end < 0:
+        if b"\n\n" in received:  # who types a request waits for an answer
+            raise _malformed("its lines end in LF alone: CR LF is wanted")
         if len(received) >= MOST_HEAD_BYTES:
             why = f"a head of more than {MOST_HEAD_BYTES} bytes"
             status = HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE

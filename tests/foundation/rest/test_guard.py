@@ -169,6 +169,13 @@ def test_loopback_and_configured_names_are_served(served: Served, host: str) -> 
     assert served.ask("GET", "/state", host=host).status == 200
 
 
+def test_a_request_whose_lines_end_in_line_feeds_alone_is_answered_at_once(served: Served) -> None:
+    with served.connect() as sock:
+        sock.settimeout(2.0)
+        sock.sendall(b"POST /enable HTTP/1.1\nHost: localhost\n\n")
+        assert b"CR LF is wanted" in sock.recv(65536)
+
+
 @pytest.mark.parametrize(
     ("head", "status"),
     [
