@@ -33,7 +33,7 @@ def test_without_a_plant_nothing_can_be_enabled_and_camera_and_plant_are_named(t
         assert state["plant_link_ok"] is False
         health = rig.face.get("/health")
         assert health.status_code == 503
-        assert "camera" in health.json()["detail"]
+        assert "the controller does not hear the plant; not answering: camera" in health.json()["detail"]
         enable = rig.face.post("/enable")
         assert enable.status_code == 409
         assert enable.json()["cause"] == "refused.plant_link_down"

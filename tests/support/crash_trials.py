@@ -96,9 +96,6 @@ def trial(rig: Rig, service: str, up_m: float) -> CrashTrial:
         assert time.monotonic() - killed_s < READY_S, "it is not started anew"
         time.sleep(0.02)
     until_healthy(rig.face)
-    while not rig.face.get("/state").json().get("plant_link_ok"):
-        assert time.monotonic() - killed_s < READY_S, "the controller does not hear the plant"
-        time.sleep(0.05)
     ready_s = time.monotonic() - killed_s
     at = tool_m(rig.face)
     time.sleep(HOLD_S)

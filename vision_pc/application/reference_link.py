@@ -17,6 +17,7 @@ from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, FaultCode, Reason, refusal
 from protocol.reference_messages import (
     CAPABILITY_VALVE_TRIALS,
+    FLAG_PLANT_LINK_OK,
     Acknowledgement,
     Command,
     Request,
@@ -132,6 +133,11 @@ class ReferenceLink:
     def connected(self) -> bool:
         """Return True if a session is open, a state has come in it, and the controller's clock is known."""
         return self.session.connected and bool(self._states) and self.session.clock is not None
+
+    @property
+    def hears_plant(self) -> bool:
+        """Return True if it is connected, and the newest state says that the controller hears the plant."""
+        return self.connected and bool(self.state.flags & FLAG_PLANT_LINK_OK)
 
     @property
     def tries_valves(self) -> bool:

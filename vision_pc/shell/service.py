@@ -239,7 +239,7 @@ class VisionService:
 
 def _at_work(application: VisionApplication, operations: Operations) -> bool:
     """Whether an operation runs, or controller, plant or camera are still to be there."""
-    there = application.controller.connected and application.camera.status().connected
+    there = application.controller.hears_plant and application.camera.status().connected
     return operations.current is not None or not there
 
 

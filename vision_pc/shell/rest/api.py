@@ -140,9 +140,9 @@ def _add_document(app: FastAPI, whole: bool) -> None:
 def _add_state(
     app: FastAPI, application: VisionApplication, operations: Operations, machine: MachineClock
 ) -> None:
-    @app.get("/health", tags=["state"], summary="Whether controller and camera answer")
+    @app.get("/health", tags=["state"], summary="Whether controller, plant and camera answer")
     async def health(request: Request) -> Response:
-        """200 when both answer, else a 503 problem that says which has crashed, and which does not answer."""
+        """200 when all answer, else a 503 problem that says which has crashed, and which does not answer."""
         controller, camera = application.controller, application.camera.status()
         parts = {
             "controller": controller.connected,
@@ -150,6 +150,8 @@ def _add_state(
             "recording": application.log.healthy,
         }
         why = [incident.detail for incident in lasting(application)] + stands_words(machine)
+        if controller.connected and not controller.hears_plant:
+            why.append("the controller does not hear the plant")
         if not why and all(parts.values()):
             return JSONResponse({"status": "ok"} | parts)
         if missing := ", ".join(name for name, answers in parts.items() if not answers):
