@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from itertools import pairwise, product
 from typing import NamedTuple
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
@@ -32,7 +32,6 @@ from protocol.reference_messages import (
     StreamRefused,
 )
 
-case = reference.case
 STOPS = (GroupRequest.STOP, GroupRequest.DISABLE, GroupRequest.EMERGENCY_STOP)
 AT_REST = (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY, Mode.STANDBY)
 _DONE = (Reason.ACCEPTED, Reason.ALREADY_DONE)

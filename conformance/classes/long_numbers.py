@@ -1,13 +1,11 @@
 """Cases of long numbers: two that differ in any one bit are two, and a clock counts from any start (1.7)."""
 
 from collections.abc import Callable
-from functools import partial
 
-from conformance.case import reference
+from conformance.case import case, stream_case
 from conformance.noted import TABLED
-from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_stream_times import AGE_SIDE_MS, LIMITS_FEED_MS, resting_stream, verdict
+from conformance.reference.arm_stream_times import AGE_SIDE_MS, LIMITS_FEED_MS, resting_stream
 from conformance.reference.framing import stop, used_next
 from conformance.reference.handshake import granted, require_begun
 from conformance.reference.motion import disabled
@@ -26,8 +24,6 @@ from protocol.reference_messages import (
     Request,
 )
 
-case = reference.case
-stream_case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
 WORD = 1 << 64
 # Numbers that are drawn one after the other, spread so far that none is next to another's.
 SPREAD = 0x9E3779B97F4A7C15
@@ -180,7 +176,7 @@ def clocks(peer: Peer) -> None:
 def streams(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for other in flipped(stream.stream_id):
-        got = known(verdict(stream, here, stream_id=other), f"stream {other:#x} is followed")
+        got = known(stream.verdict(here, stream_id=other), f"stream {other:#x} is followed")
         fields = (got.reason, got.stream_id, got.value, got.limit)
         wanted = (Reason.NOT_STREAMING, other, float(other), float(stream.stream_id))
         require(fields == wanted, f"stream {other:#x}: {got}")
@@ -192,11 +188,11 @@ def stream_numbers(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for bit in range(31):
         stream.number = (stream.number - 1 + (1 << bit)) % NUMBERS
-        require(verdict(stream, here) is None, f"a leap of 2^{bit} is refused")
+        require(stream.verdict(here) is None, f"a leap of 2^{bit} is refused")
         newest = (stream.number - 1) % NUMBERS
         for back in (1 << bit, 0, NUMBERS // 2):
             stream.number = (newest + 1) % NUMBERS
-            got = verdict(stream, here, number=(newest - back) % NUMBERS)
+            got = stream.verdict(here, number=(newest - back) % NUMBERS)
             good = got is not None and got.reason is Reason.OVERTAKEN and got.limit == newest
             require(good, f"{back} behind {newest}: {got}")
         stream.number = (newest + 1) % NUMBERS
@@ -207,14 +203,14 @@ def stream_numbers(peer: Peer) -> None:
 def measured(peer: Peer) -> None:
     peer.shift_ns += FAR_NS - peer.now_ns
     stream, here = resting_stream(peer)
-    old = known(verdict(stream, here, time_ns=peer.now_ns - 2**62), "2^62 ns old, and followed")
+    old = known(stream.verdict(here, time_ns=peer.now_ns - 2**62), "2^62 ns old, and followed")
     require(old.reason is Reason.STALE, f"2^62 ns old, and not STALE: {old}")
     for bit in range(63):
         age_ms = (1 << bit) / MS
         stream.feed(here, LIMITS_FEED_MS)
-        got = verdict(stream, here, time_ns=peer.now_ns - (1 << bit))
+        got = stream.verdict(here, time_ns=peer.now_ns - (1 << bit))
         stale = got is not None and got.reason is Reason.STALE and got.value > old.limit
         near = abs(age_ms - 1e3 * old.limit) < AGE_SIDE_MS
         require(near or stale == (age_ms > 1e3 * old.limit), f"2^{bit} ns old: {got}")
-        got = verdict(stream, here, time_ns=peer.now_ns + (1 << bit))
+        got = stream.verdict(here, time_ns=peer.now_ns + (1 << bit))
         require(got is None, f"2^{bit} ns ahead, which is of age 0 (12.6): {got}")

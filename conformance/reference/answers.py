@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import Peer
 from conformance.reference.framing import stop
 from conformance.reference.motion import (
@@ -20,7 +20,6 @@ from protocol.reference_messages import (
     State,
 )
 
-case = reference.case
 COUNT = HEADER_BYTES + 8
 WAITING = 64
 

@@ -7,7 +7,7 @@ and ramps down in 0.3 s goes on by 3.7 mm, and what stops at once by nothing.
 import math
 from itertools import pairwise
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched, turned
@@ -27,7 +27,6 @@ from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, Acknowledgement, ReferencePath, ReferencePose
 
-case = reference.case
 # What a busy machine adds to the time of a motion.
 LATE_MS = 30.0
 # The least way of a ramp from the middle of the motion, and the furthest from one STATE to the next.

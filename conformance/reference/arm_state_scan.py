@@ -5,10 +5,9 @@ STATEs are asked for so rarely that a field of the STATE before is older than an
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from itertools import pairwise
 
-from conformance.case import reference
+from conformance.case import case, moving_case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, require_following, turned_in_base
@@ -32,7 +31,6 @@ from protocol.faults import CommandCode, Reason, Severity
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePath, ReferencePose, State, StreamRefused
 
-case = partial(reference.case, motion=True)
 RARELY_MS = 250
 SEGMENT_S = 0.8
 # What a busy machine adds; and what scans that it skipped may lack of their time.
@@ -73,7 +71,6 @@ def first_after(watch: StateWatch) -> State:
     590,
     "7.7",
     f"cycle counts the scans (slack {SKIPPED_MS:g} ms), at any period and over sessions",
-    motion=False,
 )
 def cycle_counts(peer: Peer) -> None:
     cycle_ns = peer.open(period_ms=0).cycle_ns
@@ -89,7 +86,7 @@ def cycle_counts(peer: Peer) -> None:
         )
 
 
-@case(591, "7.7", "what STATE counts and latches is of its scan, not of the STATE before", motion=False)
+@case(591, "7.7", "what STATE counts and latches is of its scan, not of the STATE before")
 def counts_of_the_scan(peer: Peer) -> None:
     watch, _ = rarely(peer)
     before = first_after(watch)
@@ -110,7 +107,7 @@ def counts_of_the_scan(peer: Peer) -> None:
         require_shown(first_after(watch), f"after {code.name}", severity=severity)
 
 
-@case(592, "7.7", "in motion, and where it is cut off, STATE is of its scan, not of the STATE before")
+@moving_case(592, "7.7", "in motion, and where it is cut off, STATE is of its scan, not of the STATE before")
 def motion_of_the_scan(peer: Peer) -> None:
     watch, here = enabled_rarely(peer)
     goal = moved(here, dz=STEP_M)
@@ -152,7 +149,7 @@ def _require_one_way(states: Sequence[State], joints: str, tool: str) -> None:
     )
 
 
-@case(593, "7.7", f"segment is the one of the scan (slack {LATE_MS:g} ms)", needs=OptionalPart.PATHS)
+@moving_case(593, "7.7", f"segment is the one of the scan (slack {LATE_MS:g} ms)", needs=OptionalPart.PATHS)
 def segment_of_the_scan(peer: Peer) -> None:
     watch, here = enabled_rarely(peer)
     middle = moved(here, dz=STEP_M / 2)
@@ -168,7 +165,7 @@ def segment_of_the_scan(peer: Peer) -> None:
         require(not sure or each.state.segment == most, f"segment {each.state.segment} in segment {most}")
 
 
-@case(
+@moving_case(
     594,
     "12.3",
     f"stream_number is the newest of the scan (slack {LATE_MS:g} ms)",
@@ -272,9 +269,7 @@ def _solved(rows: list[list[float]], right: list[float]) -> list[float]:
     return [row[size] / row[k] for k, row in enumerate(system)]
 
 
-@reference.case(
-    595, "1.6", "each joint goes as its command and its valve say, and as its sign says", motion=True
-)
+@case(595, "1.6", "each joint goes as its command and its valve say, and as its sign says", motion=True)
 def signs(peer: Peer) -> None:
     here = entered(peer, Mode.STANDBY).here
     watch = StateWatch(peer)

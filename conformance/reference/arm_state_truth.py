@@ -6,7 +6,7 @@ from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import Peer
 from conformance.reference.arm_transitions import entered, is_ramping
 from conformance.reference.motion import (
@@ -105,7 +105,6 @@ def _product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
     )
 
 
-case = reference.case
 # What a busy machine adds to the age of a STATE; half of them are younger than with the smaller one.
 LATE_MS, OFTEN_LATE_MS = 30.0, 3.0
 # Of what follows the measurement in the same scan: two digits of an encoder, and a rounding.

@@ -5,24 +5,21 @@ Times are judged on the tester's clock: from the sending of a reference to the s
 
 import math
 from collections.abc import Callable
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from conformance.case import reference
-from conformance.parts import OptionalPart
+from conformance.case import stream_case
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched, turned
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import moved, reach, require_reason, scaled
 from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream, opened_stream
-from conformance.wire import MS, Failed, known, require
+from conformance.wire import MS, known, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import FLAG_STREAMING, State, StreamRefused
 
-case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
 FIRST_REFERENCE_MS, RAMP_MS = 1000.0, 12.0
 # What a busy machine adds: a scan of 5 ms. The controller's own figures leave 7 ms more to the 100 of 12.8.
 LATE_MS = 5.0
@@ -59,7 +56,7 @@ def _until_over(watch: StateWatch, sent_ns: int, most_ms: float) -> list[tuple[f
     return seen
 
 
-@case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
+@stream_case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
 def silence_stops(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
     cycle_ms = peer.welcome.cycle_ns / MS
@@ -92,7 +89,7 @@ def _require_ramp(seen: list[tuple[float, Watched]], begins_ms: float, cycle_ms:
         require(within[-1] < 0.8 * max(before), "it is not slowed down before its valves are centred")
 
 
-@case(574, "12.8", f"the first reference is waited for, at rest, for {FIRST_REFERENCE_MS:g} ms")
+@stream_case(574, "12.8", f"the first reference is waited for, at rest, for {FIRST_REFERENCE_MS:g} ms")
 def first_reference(peer: Peer) -> None:
     entered(peer, Mode.STANDBY)
     watch = StateWatch(peer)
@@ -106,7 +103,9 @@ def first_reference(peer: Peer) -> None:
     require(abs(after - FIRST_REFERENCE_MS) < 30.0, f"it waited for {after:.0f} ms")
 
 
-@case(576, "12.9", "when the session ends a stream is stopped by its silence, and latches REFERENCE_STALE")
+@stream_case(
+    576, "12.9", "when the session ends a stream is stopped by its silence, and latches REFERENCE_STALE"
+)
 def session_ends(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
     sent_ns = given(stream, goal)
@@ -118,7 +117,7 @@ def session_ends(peer: Peer) -> None:
     require(len(seen) == 1 or after < late, f"centred only {after:.1f} ms after the last reference")
 
 
-@case(587, "12.10", "END_STREAM before any reference rests where it is, and the motion is done")
+@stream_case(587, "12.10", "END_STREAM before any reference rests where it is, and the motion is done")
 def ends_without_reference(peer: Peer) -> None:
     entered(peer, Mode.STANDBY)
     stream = opened_stream(peer)
@@ -142,24 +141,9 @@ CLOCKS_MS = 0.5
 
 def resting_stream(peer: Peer) -> tuple[Stream, Pose]:
     """A stream that rests at the pose returned."""
-    scene = entered(peer, Mode.STREAMING)
-    assert scene.stream is not None
-    here = peer.state().X_BT_cmd
-    scene.stream.feed(here, 600.0)
-    return scene.stream, peer.state().X_BT_cmd
-
-
-def verdict(stream: Stream, pose: Pose, **more: Any) -> StreamRefused | None:
-    """The refusal of a reference, or None when it is followed."""
-    peer, number = stream.peer, more.get("number", stream.number)
-    shown_before = number == (stream.number - 1) % NUMBERS
-    stream.give(pose, **more)
-    for _, message in peer.arriving(300):
-        if isinstance(message, StreamRefused) and message.number == number:
-            return message
-        if isinstance(message, State) and message.stream_number == number and not shown_before:
-            return None
-    raise Failed(f"reference {number} is neither followed nor refused")
+    stream = entered(peer, Mode.STREAMING).stream
+    stream.feed(peer.state().X_BT_cmd, 600.0)
+    return stream, peer.state().X_BT_cmd
 
 
 def _require_sides(got: StreamRefused, reason: Reason, sent: float, most: float, what: str) -> float:
@@ -170,7 +154,7 @@ def _require_sides(got: StreamRefused, reason: Reason, sent: float, most: float,
     return got.limit
 
 
-@case(580, "12.4", "a reference that breaks several rules is refused for the first of them")
+@stream_case(580, "12.4", "a reference that breaks several rules is refused for the first of them")
 def order(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     newest = (stream.number - 1) % NUMBERS
@@ -190,7 +174,7 @@ def order(peer: Peer) -> None:
         for _, more in reversed(spoilt[first:]):
             fields |= more
         followed_why = f"what should be {reason.name} is followed"
-        got = known(verdict(stream, fields.pop("X_BT_ref"), **fields), followed_why)
+        got = known(stream.verdict(fields.pop("X_BT_ref"), **fields), followed_why)
         require(got.reason is reason, f"what should be {reason.name} first is {got.reason.name}")
         stream.feed(here, LIMITS_FEED_MS)
         spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
@@ -203,28 +187,28 @@ def _require_bound(
     limit = _require_sides(_refusal_of(stream, there(far)), Reason.TOO_FAR, far, most, what)
     beyond = limit * (1.0 + SIDE)
     _require_sides(_refusal_of(stream, there(beyond)), Reason.TOO_FAR, beyond, most, what)
-    inside = verdict(stream, there(limit * (1.0 - SIDE)))
+    inside = stream.verdict(there(limit * (1.0 - SIDE)))
     require(inside is None or inside.reason is not Reason.TOO_FAR, f"{what} within its limit is TOO_FAR")
     stream.feed(here, LIMITS_FEED_MS)
 
 
-@case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
+@stream_case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
 def distance(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     _require_bound(stream, here, lambda far: moved(here, dx=-far), 100.0, DISTANCE_M, "a distance")
 
 
 def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
-    return known(verdict(stream, pose, **more), "it is followed although it is beyond the limit")
+    return known(stream.verdict(pose, **more), "it is followed although it is beyond the limit")
 
 
-@case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
+@stream_case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
 def angle(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     _require_bound(stream, here, lambda far: turned(here, far), 2.0, TURN_RAD, "an angle")
 
 
-@case(583, "12.4", "its own speed, each axis: both sides of its limit")
+@stream_case(583, "12.4", "its own speed, each axis: both sides of its limit")
 def speed(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for axis in range(6):
@@ -238,18 +222,18 @@ def speed(peer: Peer) -> None:
         beyond = limit * (1.0 + 2 * SIDE)
         got = _refusal_of(stream, here, twist_ref=twist(-beyond))
         _require_sides(got, Reason.TOO_FAST, beyond, most, f"axis {axis}, a speed")
-        inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
+        inside = stream.verdict(here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
         require(inside is None, f"axis {axis}: refused within its limit: {inside}")
         stream.feed(here, LIMITS_FEED_MS)
 
 
-@case(584, "12.6", "the age of the measurement: both sides of its limit")
+@stream_case(584, "12.6", "the age of the measurement: both sides of its limit")
 def age(peer: Peer) -> None:
     stream, here = resting_stream(peer)
 
     def aged(ms: float) -> StreamRefused | None:
         begin_ns = peer.now_ns
-        got = verdict(stream, here, time_ns=begin_ns - int(ms * MS))
+        got = stream.verdict(here, time_ns=begin_ns - int(ms * MS))
         if got is not None and got.reason is Reason.STALE:
             # It left at this age or later, and was judged before its answer came.
             most_ms = ms + (peer.now_ns - begin_ns) / MS

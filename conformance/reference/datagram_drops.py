@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from itertools import chain, cycle
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY, signed
 from conformance.reference.datagram_refusals import MAGIC_BIT
@@ -29,7 +29,6 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 # The time in a heartbeat that shall not be answered.
 MARK = 7
 # Numbers left out, so that they can come late: fewer than the 64 within which late is told from old.

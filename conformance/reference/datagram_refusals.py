@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, flags_of, refused, stop
@@ -24,7 +24,6 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 MAGIC_BIT = 5
 
 

@@ -2,18 +2,16 @@
 
 import itertools
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.noted import Always
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.arm_transitions import entered
-from conformance.reference.authentication import OTHER_KEY, signed
-from conformance.reference.authentication import case as key_case
+from conformance.reference.authentication import OTHER_KEY, key_case, signed
 from conformance.reference.datagram_refusals import require_greeted
 from conformance.reference.framing import MAJOR, refused, stop
 from conformance.reference.handshake import granted, require_begun
 from conformance.reference.order import WINDOW, require_window
-from conformance.reference.streaming import Stream
 from conformance.wire import ANSWER_MS, MS, known, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
 from protocol.axes_group import Mode
@@ -35,7 +33,6 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 SESSIONS = 8
 # Two of a few dozen sound session numbers are nearer to one another once in 10^8 runs.
 LEAST_BITS = 8
@@ -261,7 +258,7 @@ def tour(peer: Peer, modes: tuple[Mode, ...]) -> None:
     for mode in modes:
         scene = entered(peer, mode)
         again = Hello(peer.welcome.client_nonce, 3 | peer.required, 0, 0)
-        (scene.stream or Stream(peer, peer.new_id())).give(scene.here)
+        scene.stream.give(scene.here)
         peer.send(again, session=0)
         unknown = peer.encoded(stop(peer))
         peer.send_raw(peer.with_number(unknown, 48, "I", 99))

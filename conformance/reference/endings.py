@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
 from conformance.reference.motion import (
@@ -33,7 +33,6 @@ from protocol.reference_messages import (
     State,
 )
 
-case = reference.case
 # From the end of a session in motion to centred valves: more than any ramp.
 RAMPED_MS = 3000
 

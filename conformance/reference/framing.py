@@ -6,7 +6,7 @@ from functools import partial
 from random import Random
 from typing import Any
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.wire import require, with_bit_flipped
@@ -21,7 +21,6 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 PATHS = OptionalPart.PATHS
 MAJOR, KIND, FLAGS = 4, 6, 8
 COMMAND_BYTES = 16

@@ -1,6 +1,6 @@
 """Cases 231…239: a session begins with the client's first datagram in it (clauses 4.2, 4.4, 4.5 and 4.11)."""
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import MAJOR, stop
 from conformance.reference.sessions import SLACK_MS, silent
@@ -8,7 +8,6 @@ from conformance.wire import ANSWER_MS, MS, Failed, require
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, Bye, Heartbeat, HeartbeatReply, Hello, State, Welcome
 
-case = reference.case
 # Answers to one datagram of a stranger: no more bytes than this many times what he sent.
 AMPLIFICATION = 3
 

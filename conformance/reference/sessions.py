@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import RATION_MS, SESSION_MS, Peer
 from conformance.reference.framing import refused, stop
 from conformance.wire import ANSWER_MS, MS, Failed, known, require
@@ -18,7 +18,6 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 # What a busy machine may add to a deadline before it counts as missed.
 SLACK_MS = 100
 
