@@ -38,8 +38,7 @@ UNDER_WAY_MS = 600.0
 def until_done(watch: StateWatch, request: ReferencePose | ReferencePath) -> list[Watched]:
     """The STATEs of an accepted motion, from the first that names it to the first that calls it done."""
     wanted_id = accepted(watch.peer, request)
-    seen = watch.during(30_000.0, until=lambda s: s.motion_done and s.motion_id == wanted_id)
-    require(seen[-1].state.motion_done, "it is not done")
+    seen = watch.until(lambda s: s.motion_done and s.motion_id == wanted_id, 30_000.0, "it is not done")
     return [each for each in seen if each.state.motion_id == wanted_id]
 
 
@@ -135,9 +134,9 @@ def refused_in_motion(peer: Peer) -> None:
     nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
     for bad in (nan, moved(scene.here, dz=50.0)):
         require(reference_reason(peer, bad, 0.0).reason is not Reason.ACCEPTED, f"{bad.p_m} was accepted")
-    seen += watch.during(3000.0, until=lambda state: state.motion_done)
+    why = "the motion was not driven to its end"
+    seen += watch.until(lambda state: state.motion_done and state.motion_id == motion_id, 3000.0, why)
     last = seen[-1].state
-    require(last.motion_done and last.motion_id == motion_id, "the motion was not driven to its end")
     require(math.dist(last.X_BT_cmd.p_m, scene.goal.p_m) < 1e-6, "it ends somewhere else")
     require_no_jump(seen, "refused references")
 
@@ -148,8 +147,8 @@ def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched
     watch = StateWatch(peer)
     seen = watch.during(UNDER_WAY_MS)[-1:]
     require_reason(peer, code, Reason.ACCEPTED, "MOVING")
-    seen += watch.during(3000.0, until=lambda state: state.group_state is end)
-    require(seen[-1].state.group_state is end, f"{code.name} does not lead to {end.name}")
+    what = f"{code.name} does not lead to {end.name}"
+    seen += watch.until(lambda state: state.group_state is end, 3000.0, what)
     driven = [each for each in seen if each.state.group_state is not GroupState.DISABLED]
     require(height(driven[-1]) - height(seen[0]) > RAMP_M, f"{code.name} stops the arm with a step")
     require_no_jump(driven, code.name)

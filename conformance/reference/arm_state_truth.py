@@ -78,6 +78,12 @@ class StateWatch:
                 break
         return seen if seen or wait_ms < _RAREST_MS else [self.next()]
 
+    def until(self, wanted: Callable[[State], bool], wait_ms: float, why: str) -> list[Watched]:
+        """The STATEs until one, the last, is ``wanted``. Raises Failed with ``why`` after ``wait_ms``."""
+        seen = self.during(wait_ms, until=wanted)
+        require(wanted(seen[-1].state), why)
+        return seen
+
 
 def turned(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
     """``pose`` turned by ``angle`` (rad) about an axis of its own T, by default the last joint's."""
@@ -194,9 +200,9 @@ def _drive_to(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[
     peer = watch.peer
     motion_id = accepted(peer, ReferencePose(peer.new_id(), goal, seconds))
     peer.drain()
-    seen = watch.during(seconds * 1e3 + SETTLES_MS, until=lambda state: state.motion_done)
-    require(seen[-1].state.motion_done, "it is not done")
-    return motion_id, seen
+    return motion_id, watch.until(
+        lambda state: state.motion_done, seconds * 1e3 + SETTLES_MS, "it is not done"
+    )
 
 
 @case(516, "7.8", "motion_done is 0 until the motion has ended, then 1; a refusal leaves it", motion=True)
@@ -221,8 +227,9 @@ def done_at_its_end(peer: Peer) -> None:
 @case(517, "7.8", "a motion that was stopped is not done, and SETTLED says that the arm rests", motion=True)
 def stopped_is_not_done(peer: Peer) -> None:
     entered(peer, Mode.STOPPING)
-    seen = StateWatch(peer).during(SETTLES_MS, until=lambda state: bool(state.flags & FLAG_SETTLED))
-    require(bool(seen[-1].state.flags & FLAG_SETTLED), "it does not settle after STOP")
+    seen = StateWatch(peer).until(
+        lambda state: bool(state.flags & FLAG_SETTLED), SETTLES_MS, "it does not settle after STOP"
+    )
     require(not any(each.state.motion_done for each in seen), "done although it was stopped")
     require_reason(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
     require(not peer.state().flags & FLAG_SETTLED, "SETTLED although it is disabled")

@@ -4,6 +4,7 @@ A reference that moves is judged where it is at the instant of a STATE's scan, o
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 from conformance.case import stream_case
@@ -99,22 +100,20 @@ def _require_met(seen: list[Watched], target: MovingReference) -> None:
         )
 
 
-def _followed_with_velocity(peer: Peer, velocity: Axes, turning: Axes, age_ms: float) -> None:
+def followed_with_velocity(velocity: Axes, turning: Axes, age_ms: float, peer: Peer) -> None:
     stream, watch, target = _begin_stream(peer, velocity, turning)
     target.feed(stream, watch, MET_MS, age_ms)
     _require_met(target.feed(stream, watch, 300.0, age_ms), target)
     require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
-@stream_case(577, "12.7", "a reference that moves is met, and followed with its own velocity")
-def with_its_velocity(peer: Peer) -> None:
-    _followed_with_velocity(peer, RISING, TURNING, 0.0)
-
-
-@stream_case(578, "12.7", "a reference that moves has gone on since the instant that it rests on")
-def since_its_instant(peer: Peer) -> None:
+for _number, _title, _velocity, _turning, _age_ms in (
+    (577, "a reference that moves is met, and followed with its own velocity", RISING, TURNING, 0.0),
     # In every direction another speed: one that is taken for another is off by several millimetres.
-    _followed_with_velocity(peer, (-0.02, 0.04, -0.05), (0.03, -0.03, -0.06), 120.0)
+    (578, "a reference that moves has gone on since the instant that it rests on",
+     (-0.02, 0.04, -0.05), (0.03, -0.03, -0.06), 120.0),
+):  # fmt: skip
+    stream_case(_number, "12.7", _title)(partial(followed_with_velocity, _velocity, _turning, _age_ms))
 
 
 def _furthest(seconds: float) -> float:

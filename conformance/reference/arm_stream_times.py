@@ -5,6 +5,7 @@ Times are judged on the tester's clock: from the sending of a reference to the s
 
 import math
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +13,7 @@ from conformance.case import stream_case
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import StateWatch, Watched, turned
 from conformance.reference.arm_transitions import entered
-from conformance.reference.motion import moved, reach, require_reason, scaled
+from conformance.reference.motion import moved, reach, require_near, require_reason, require_shown, scaled
 from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream, opened_stream
 from conformance.wire import MS, known, require
 from protocol.axes_group import Mode
@@ -49,11 +50,9 @@ def _is_over(state: State) -> bool:
 
 def _until_over(watch: StateWatch, sent_ns: int, most_ms: float) -> list[tuple[float, Watched]]:
     """STATEs until silence has stopped the arm, with the ms since ``sent_ns``."""
-    seen = [((each.scan_ns - sent_ns) / MS, each) for each in watch.during(most_ms, until=_is_over)]
-    last = seen[-1][1].state
-    require(_is_over(last), f"the arm was not stopped within {most_ms:g} ms of silence")
-    require(last.fault is FaultCode.REFERENCE_STALE, f"fault {last.fault.name}")
-    return seen
+    seen = watch.until(_is_over, most_ms, f"the arm was not stopped within {most_ms:g} ms of silence")
+    require_shown(seen[-1].state, "after silence", fault=FaultCode.REFERENCE_STALE)
+    return [((each.scan_ns - sent_ns) / MS, each) for each in seen]
 
 
 @stream_case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
@@ -124,10 +123,9 @@ def ends_without_reference(peer: Peer) -> None:
     at = peer.state().X_BT_cmd
     require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     state = reach(peer, GroupState.STANDBY, "after END_STREAM", 1000)
-    require(math.dist(state.X_BT_cmd.p_m, at.p_m) < 1e-6, "it moved")
-    seen = StateWatch(peer).during(500.0, until=lambda state: state.motion_done)
-    require(seen[-1].state.motion_done, "motion_done does not follow")
-    require(seen[-1].state.motion_id == stream.stream_id, "motion_id is not the stream's")
+    require_near(state.X_BT_cmd, at, 1e-6, "it moved")
+    seen = StateWatch(peer).until(lambda state: state.motion_done, 500.0, "motion_done does not follow")
+    require_shown(seen[-1].state, "after END_STREAM", motion_id=stream.stream_id)
 
 
 DISTANCE_M, TURN_RAD, AGE_MS = 0.5, math.radians(30.0), 250.0
@@ -180,32 +178,27 @@ def order(peer: Peer) -> None:
         spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
 
 
-def _require_bound(
-    stream: Stream, here: Pose, there: Callable[[float], Pose], far: float, most: float, what: str
-) -> None:
-    """Both sides of the limit of how far ``there`` may be from the commanded pose."""
-    limit = _require_sides(_refusal_of(stream, there(far)), Reason.TOO_FAR, far, most, what)
-    beyond = limit * (1.0 + SIDE)
-    _require_sides(_refusal_of(stream, there(beyond)), Reason.TOO_FAR, beyond, most, what)
-    inside = stream.verdict(there(limit * (1.0 - SIDE)))
-    require(inside is None or inside.reason is not Reason.TOO_FAR, f"{what} within its limit is TOO_FAR")
-    stream.feed(here, LIMITS_FEED_MS)
-
-
-@stream_case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
-def distance(peer: Peer) -> None:
-    stream, here = resting_stream(peer)
-    _require_bound(stream, here, lambda far: moved(here, dx=-far), 100.0, DISTANCE_M, "a distance")
-
-
 def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
     return known(stream.verdict(pose, **more), "it is followed although it is beyond the limit")
 
 
-@stream_case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
-def angle(peer: Peer) -> None:
+def bound(what: str, there: Callable[[Pose, float], Pose], far: float, most: float, peer: Peer) -> None:
+    """Both sides of the limit of how far ``there`` may be from the commanded pose."""
     stream, here = resting_stream(peer)
-    _require_bound(stream, here, lambda far: turned(here, far), 2.0, TURN_RAD, "an angle")
+    limit = _require_sides(_refusal_of(stream, there(here, far)), Reason.TOO_FAR, far, most, what)
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(_refusal_of(stream, there(here, beyond)), Reason.TOO_FAR, beyond, most, what)
+    inside = stream.verdict(there(here, limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, f"{what} within its limit is TOO_FAR")
+
+
+for _number, _what, _there, _far, _most in (
+    (581, "distance", lambda here, far: moved(here, dx=-far), 100.0, DISTANCE_M),
+    (582, "angle", turned, 2.0, TURN_RAD),
+):
+    stream_case(_number, "12.4", f"the {_what} from the commanded pose: both sides of its limit")(
+        partial(bound, _what, _there, _far, _most)
+    )
 
 
 @stream_case(583, "12.4", "its own speed, each axis: both sides of its limit")

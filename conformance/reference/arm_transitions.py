@@ -4,6 +4,7 @@ Modes that STATE shows alike are told apart by what they answer to a request tha
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from conformance.case import case
@@ -187,33 +188,24 @@ class _Over(Exception):
     """The ramp was over before it could be asked in."""
 
 
-def _ask_in_a_ramp(peer: Peer, request: GroupRequest, step: Transition) -> None:
-    """As ``ask_cell``, but asked again when the ramp may have ended between the question and the answer."""
+def ask(mode: Mode, request: GroupRequest, step: Transition, peer: Peer) -> None:
+    """As ``ask_cell``; again where an error's ramp may have ended between the question and the answer."""
     last: Exception = Unsupported("an error's ramp is over before a client can ask in it")
-    for _ in range(_TRIES):
+    for _ in range(_TRIES if mode is Mode.ERROR_RAMP else 1):
         try:
-            ask_cell(peer, Mode.ERROR_RAMP, request, step)
+            return ask_cell(peer, mode, request, step)
         except _Over:
             continue
         except Failed as failure:
             last = failure
-        else:
-            return
     raise last
 
 
-def _enter(mode: Mode, request: GroupRequest, step: Transition) -> None:
-    def run(peer: Peer) -> None:
-        if mode is Mode.ERROR_RAMP:
-            _ask_in_a_ramp(peer, request, step)
-        else:
-            ask_cell(peer, mode, request, step)
-
-    motion = mode not in _STILL or step.mode not in _STILL
-    streams = request in _OF_STREAMS or mode is Mode.STREAMING
-    needs = OptionalPart.STREAMING if streams else None
-    case(number_of(mode, request), "7.3", title_of(mode, request), motion=motion, needs=needs)(run)
-
-
-for _cell, _step in ANSWERS.items():
-    _enter(*_cell, _step)
+for (_mode, _request), _step in ANSWERS.items():
+    case(
+        number_of(_mode, _request),
+        "7.3",
+        title_of(_mode, _request),
+        motion=_mode not in _STILL or _step.mode not in _STILL,
+        needs=OptionalPart.STREAMING if _request in _OF_STREAMS or _mode is Mode.STREAMING else None,
+    )(partial(ask, _mode, _request, _step))

@@ -1,6 +1,7 @@
 """Cases 130… and 891…: what the controller sends, field by field, and what holds of all that comes."""
 
 import itertools
+from functools import partial
 
 from conformance.case import case
 from conformance.noted import Always
@@ -274,19 +275,16 @@ def tour(peer: Peer, modes: tuple[Mode, ...]) -> None:
         peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE")
 
 
-def _enter(number: int, always: Always) -> None:
-    def run(peer: Peer) -> None:
-        if not peer.noted.toured:
-            tour(peer, AT_REST)
-            peer.noted.toured = True
-        require(always not in peer.noted.breaches, peer.noted.breaches.get(always, ""))
-
-    clause, says = always.value
-    case(number, clause, f"in all that comes {says}")(run)
+def never_breached(always: Always, peer: Peer) -> None:
+    if not peer.noted.toured:
+        tour(peer, AT_REST)
+        peer.noted.toured = True
+    require(always not in peer.noted.breaches, peer.noted.breaches.get(always, ""))
 
 
 for _number, _always in enumerate(Always, 891):
-    _enter(_number, _always)
+    _clause, _says = _always.value
+    case(_number, _clause, f"in all that comes {_says}")(partial(never_breached, _always))
 
 
 @case(899, "7.7", "and the same in every mode", motion=True, needs=OptionalPart.STREAMING)
