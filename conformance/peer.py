@@ -10,7 +10,6 @@ from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
-    Heartbeat,
     HeartbeatReply,
     Hello,
     Request,
@@ -107,8 +106,7 @@ class Peer(Wire):
 
     def alive(self, why: str) -> HeartbeatReply:
         """The reply to a heartbeat of now; raises Failed with ``why`` when there is none."""
-        now_ns = self.now_ns
-        self.send(Heartbeat(now_ns), sent_ns=now_ns)
+        now_ns = self.heartbeat()
         what = f"{why}: the session is not alive"
         return self.expect(HeartbeatReply, what, beating=False, wanted=lambda r: r.sent_ns == now_ns)
 

@@ -204,8 +204,7 @@ def not_negotiated(peer: Peer) -> None:
     for ways in ((pose, path), (path, pose), (path, path)):
         made = [ReferencePose(peer.new_id(), here, 0.0) if way is pose
                 else ReferencePath(peer.new_id(), (here,), 0.0, 0.0) for way in ways]  # fmt: skip
-        for data in [peer.encoded(each) for each in made]:
-            peer.send_raw(data)
+        peer.send_at_once(made)
         got = [answer.reason for answer in sorted(_answers_to(peer, made))]
         wanted = [Reason.DISABLED if way is pose else Reason.NOT_NEGOTIATED for way in ways]
         require(got == wanted, f"{[way.name for way in ways]}: {[reason.name for reason in got]}")

@@ -131,8 +131,7 @@ def heartbeats(peer: Peer) -> None:
     for begin in range(0, len(times), BURST):
         peer.drain()
         sent_times = times[begin : begin + BURST]
-        for data in [peer.encoded(Heartbeat(own_ns)) for own_ns in sent_times]:
-            peer.send_raw(data)
+        peer.send_at_once(map(Heartbeat, sent_times))
         replies: list[int] = []
         for _ in peer.within(ANSWER_MS):
             got = [d.message for d in peer.collect(5.0, beating=False)]

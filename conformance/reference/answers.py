@@ -102,8 +102,7 @@ def any_other_content(peer: Peer) -> None:
 def sixty_four_wait(peer: Peer) -> None:
     disabled(peer)
     requests = [Command(peer.new_id(), CommandCode.EMERGENCY_RELEASE) for _ in range(WAITING)]
-    for data in [peer.encoded(request) for request in requests]:
-        peer.send_raw(data)
+    peer.send_at_once(requests)
     answers: list[Acknowledgement] = []
     for _ in range(20):
         answers += peer.answers("64 requests")

@@ -28,7 +28,6 @@ from protocol.reference_messages import (
     Heartbeat,
     HeartbeatReply,
     Hello,
-    Message,
     ReferencePose,
     State,
     Welcome,
@@ -111,8 +110,7 @@ def one_clock(peer: Peer) -> None:
         least[what] = min(transit_ns, least.get(what, transit_ns))
 
     for _ in range(40):
-        now_ns = read_ns = peer.now_ns
-        peer.send(Heartbeat(now_ns), sent_ns=now_ns)
+        now_ns = read_ns = peer.heartbeat()
         while read_ns < now_ns + 15 * MS and (datagram := peer.receive(10, beating=False)) is not None:
             read_ns, sent_ns = peer.now_ns, datagram.header.sent_ns
             note(f"the header of {type(datagram.message).__name__}", read_ns - sent_ns)
@@ -151,8 +149,7 @@ def wrong_key_id(peer: Peer) -> None:
     data = peer.encoded(Hello(peer.nonce(), peer.required | 1, 0, 50), session=0)
     flipped = with_bit_flipped(data, 8 * (len(data) - TRAILER_BYTES + 4) + 31)
     peer.send_raw(peer.resealed(flipped))
-    unknown: list[Message] = [Bye(Reason.UNKNOWN_KEY)]
-    peer.require_came(unknown, 100, "HELLO with another key_id", of=Bye | Welcome)
+    peer.require_came([Bye(Reason.UNKNOWN_KEY)], 100, "HELLO with another key_id", of=Bye | Welcome)
 
 
 @key_case(
@@ -165,9 +162,6 @@ def key_before_all_else(peer: Peer) -> None:
     other = peer.second()
     session_key = peer.keys_of(peer.session).sends
 
-    def answers(what: str, source: Peer, data: bytes, wanted: list[Message]) -> None:
-        require_greeted(peer, what, source, data, wanted)
-
     def hello(key: DirectionKey | None, arm_hash: int = 0, session: int = 0, number: int = 0) -> bytes:
         message = Hello(number or peer.nonce(), peer.required | 1, arm_hash, 50)
         return signed(peer, message, key, session=session)
@@ -177,13 +171,15 @@ def key_before_all_else(peer: Peer) -> None:
         (OTHER_KEY.of_hello(), Reason.UNKNOWN_KEY),
         (session_key, Reason.BAD_TAG),
     ):
-        byes: list[Message] = [Bye(reason)]
-        answers(f"{reason.name}, in a session", peer, hello(key, session=peer.session), byes)
-        answers(f"{reason.name}, replayed", peer, hello(key, number=nonce), byes)
-        answers(f"{reason.name}, another arm", peer, hello(key, wrong), byes)
-        answers(f"{reason.name}, another source", other, hello(key), byes)
+        for what, source, how in (
+            ("in a session", peer, {"session": peer.session}),
+            ("replayed", peer, {"number": nonce}),
+            ("another arm", peer, {"arm_hash": wrong}),
+            ("another source", other, {}),
+        ):
+            require_greeted(peer, f"{reason.name}, {what}", source, hello(key, **how), [Bye(reason)])
     formless = peer.with_number(hello(None), HEADER_BYTES, "Q", 0)
-    answers("a nonce of 0, not signed", peer, resealed(formless[: HEADER_BYTES + 32]), [])
+    require_greeted(peer, "a nonce of 0, not signed", peer, resealed(formless[: HEADER_BYTES + 32]), [])
     peer.alive("after these")
 
 

@@ -26,7 +26,6 @@ from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     Acknowledgement,
     Command,
-    Heartbeat,
     Message,
     ReferencePose,
     Request,
@@ -193,8 +192,7 @@ def bounded(peer: Peer) -> None:
 def behind_heartbeats(peer: Peer) -> None:
     disabled(peer)
     for _ in range(FLOOD):
-        now_ns = peer.now_ns
-        peer.send(Heartbeat(now_ns), sent_ns=now_ns)
+        peer.heartbeat()
     _latched_state(peer, f"{FLOOD} heartbeats")
 
 

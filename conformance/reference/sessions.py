@@ -10,7 +10,6 @@ from protocol.faults import Reason
 from protocol.reference_messages import (
     Acknowledgement,
     Bye,
-    Heartbeat,
     HeartbeatReply,
     Hello,
     Message,
@@ -42,8 +41,7 @@ def dies_of_silence(peer: Peer, what: str, send: Callable[[float], object]) -> N
 
     ``send`` gets the ms since that heartbeat.
     """
-    begin_ns = peer.now_ns
-    peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
+    begin_ns = peer.heartbeat()
     while (waited_ms := (peer.now_ns - begin_ns) / MS) < peer.timeout_ms + SLACK_MS:
         send(waited_ms)
         for _, message in peer.arriving(4, beating=False):
