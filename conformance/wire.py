@@ -258,14 +258,9 @@ class Wire:
         resized = data[:HEADER_BYTES] + payload[:size].ljust(size, b"\0") + trailer
         return self.with_number(resized, LENGTH, "H", size)
 
-    def send(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
-             session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
-        """Seals and sends."""
-        return self.send_raw(
-            self.encoded(
-                message, sequence=sequence, sent_ns=sent_ns, session=session, minor=minor, flags=flags
-            )
-        )
+    def send(self, message: Message, **header: Any) -> bytes:
+        """Seals, as ``encoded``, and sends."""
+        return self.send_raw(self.encoded(message, **header))
 
     def beat(self) -> None:
         """Sends a heartbeat when one is due."""
@@ -278,10 +273,10 @@ class Wire:
         self.send(Heartbeat(now_ns), sent_ns=now_ns, session=session)
         return now_ns
 
-    def send_at_once(self, messages: Iterable[Message]) -> None:
-        """Sends these one right behind the other: all are sealed before."""
-        for data in [self.encoded(message) for message in messages]:
-            self.send_raw(data)
+    def send_at_once(self, messages: Iterable[Message]) -> list[bytes]:
+        """Sends these one right behind the other, all sealed before; their datagrams."""
+        sealed = [self.encoded(message) for message in messages]
+        return [self.send_raw(data) for data in sealed]
 
     def set_back(self, by_ns: int) -> None:
         """Sets the tester's clock back in the middle of a session; a heartbeat is due at once."""
@@ -357,6 +352,19 @@ class Wire:
     def collect(self, wait_ms: float, *, beating: bool = True) -> list[Datagram]:
         """Everything that comes within ``wait_ms``."""
         return list(self.arriving(wait_ms, beating=beating))
+
+    def gather(
+        self, kind: Any, count: int, wait_ms: float = ANSWER_MS, *, after_ms: float = 3.0,
+        beating: bool = True,
+    ) -> list[Any]:  # fmt: skip
+        """The messages of ``kind`` until ``count`` have come, or for ``wait_ms``; and ``after_ms`` on."""
+        got: list[Any] = []
+        for _, message in self.arriving(wait_ms, beating=beating):
+            got += [message] if isinstance(message, kind) else []
+            if len(got) >= count:
+                break
+        behind = self.collect(after_ms, beating=beating)
+        return got + [message for _, message in behind if isinstance(message, kind)]
 
     def require_came(
         self, wanted: Sequence[Message], wait_ms: float, why: str, *, of: Any = object, but: Any = (),

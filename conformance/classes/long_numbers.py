@@ -10,7 +10,7 @@ from conformance.reference.framing import stop, used_next
 from conformance.reference.handshake import granted, require_begun
 from conformance.reference.motion import disabled
 from conformance.reference.streaming import NUMBERS
-from conformance.wire import ANSWER_MS, MS, known, require
+from conformance.wire import MS, known, require
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import (
@@ -132,12 +132,8 @@ def heartbeats(peer: Peer) -> None:
         peer.drain()
         sent_times = times[begin : begin + BURST]
         peer.send_at_once(map(Heartbeat, sent_times))
-        replies: list[int] = []
-        for _ in peer.within(ANSWER_MS):
-            got = [d.message for d in peer.collect(5.0, beating=False)]
-            replies += [m.sent_ns for m in got if isinstance(m, HeartbeatReply)]
-            if len(replies) >= len(sent_times):
-                break
+        got = peer.gather(HeartbeatReply, len(sent_times), beating=False)
+        replies = [reply.sent_ns for reply in got]
         require(replies == sent_times, f"of {sent_times} came back {replies}")
 
 

@@ -103,11 +103,7 @@ def sixty_four_wait(peer: Peer) -> None:
     disabled(peer)
     requests = [Command(peer.new_id(), CommandCode.EMERGENCY_RELEASE) for _ in range(WAITING)]
     peer.send_at_once(requests)
-    answers: list[Acknowledgement] = []
-    for _ in range(20):
-        answers += peer.answers("64 requests")
-        if len(answers) >= WAITING:
-            break
+    answers = peer.gather(Acknowledgement, WAITING, 2000, after_ms=peer.grace_ms)
     reasons = {answer.reason for answer in answers}
     require(len(answers) == WAITING, f"{len(answers)} answers")
     require(reasons == {Reason.ALREADY_DONE}, f"answered {sorted(reason.name for reason in reasons)}")
