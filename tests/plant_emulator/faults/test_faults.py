@@ -140,7 +140,7 @@ def test_a_lost_supply_lets_the_pressure_fall_and_the_arm_only_sink(plant: Plant
         height.append(plant.truth().X_WT[2, 3])
     assert max(height) < height[0] + 1e-4  # asked to rise, it cannot
     assert height[-1] < height[0] - 0.05  # through the open valve the load sinks
-    plant.clear_faults()
+    plant.clear()
     driver.run(1.0, LIFT_UP)
     assert plant.read().status & STATUS_SUPPLY_ON
     assert plant.truth().supply > 150 * BAR
@@ -169,7 +169,7 @@ def test_a_stuck_encoder_repeats_its_count_and_says_so(exact: Plant) -> None:
     assert reading_error(exact)[LIFT] < -0.02  # it has risen unseen
     assert np.abs(np.delete(reading_error(exact), LIFT)).max() < RAD_PER_COUNT
     assert exact.read().status & STATUS_SENSOR_FAULT
-    exact.clear_faults()
+    exact.clear()
     assert abs(reading_error(exact)[LIFT]) < RAD_PER_COUNT
     assert not exact.read().status & STATUS_SENSOR_FAULT
 
