@@ -131,6 +131,19 @@ class Peer(Wire):
         fence += self.passed_over + self.collect(1.0)
         return [d.message for d in fence if isinstance(d.message, Acknowledgement)]
 
+    def gather(
+        self, kind: Any, count: int, wait_ms: float = ANSWER_MS, *, after_ms: float = 3.0,
+        beating: bool = True,
+    ) -> list[Any]:  # fmt: skip
+        """The messages of ``kind`` until ``count`` have come, or for ``wait_ms``; and ``after_ms`` on."""
+        got: list[Any] = []
+        for _, message in self.arriving(wait_ms, beating=beating):
+            got += [message] if isinstance(message, kind) else []
+            if len(got) >= count:
+                break
+        behind = self.collect(after_ms, beating=beating)
+        return got + [message for _, message in behind if isinstance(message, kind)]
+
     def state(self, why: str = "STATE is sent") -> State:
         """A STATE that was sent after now; raises Failed."""
         self.drain()

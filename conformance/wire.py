@@ -353,19 +353,6 @@ class Wire:
         """Everything that comes within ``wait_ms``."""
         return list(self.arriving(wait_ms, beating=beating))
 
-    def gather(
-        self, kind: Any, count: int, wait_ms: float = ANSWER_MS, *, after_ms: float = 3.0,
-        beating: bool = True,
-    ) -> list[Any]:  # fmt: skip
-        """The messages of ``kind`` until ``count`` have come, or for ``wait_ms``; and ``after_ms`` on."""
-        got: list[Any] = []
-        for _, message in self.arriving(wait_ms, beating=beating):
-            got += [message] if isinstance(message, kind) else []
-            if len(got) >= count:
-                break
-        behind = self.collect(after_ms, beating=beating)
-        return got + [message for _, message in behind if isinstance(message, kind)]
-
     def require_came(
         self, wanted: Sequence[Message], wait_ms: float, why: str, *, of: Any = object, but: Any = (),
         beating: bool = False,
