@@ -7,6 +7,7 @@ import time
 from functools import cache
 from typing import Any, ClassVar, Self
 
+from conformance.case import CaseOutcome, Summary
 from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
 from controller.core.settings import ScanSettings, settings_from
@@ -56,6 +57,15 @@ def _real_socket() -> socket.socket:
     bound.bind(("127.0.0.1", 0))
     bound.setblocking(False)
     return bound
+
+
+def not_passed(summary: Summary) -> dict[int, str]:
+    """What did not pass, and why."""
+    return {
+        r.case.number: f"{r.outcome.value}: {r.detail}"
+        for r in summary.results
+        if r.outcome is not CaseOutcome.PASS
+    }
 
 
 class ControllerUnderTest:
