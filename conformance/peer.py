@@ -180,11 +180,15 @@ class Peer(Wire):
             yield self.state(why)
 
 
+_OTHER_KEY = {
+    Reason.NOT_AUTHENTICATED: "the controller demands authentication: --key",
+    Reason.KEY_NOT_CONFIGURED: "the controller has no key: authentication is not offered",
+}
+
+
 def _require_retry(reason: Reason) -> None:
     """Return if HELLO is to be sent again; else raise Unsupported or Failed."""
-    if reason is Reason.NOT_AUTHENTICATED:
-        raise Unsupported("the controller demands authentication: --key")
-    if reason is Reason.KEY_NOT_CONFIGURED:
-        raise Unsupported("the controller has no key: authentication is not offered")
+    if reason in _OTHER_KEY:
+        raise Unsupported(_OTHER_KEY[reason])
     if reason is not Reason.SESSION_OCCUPIED:
         raise Failed(f"HELLO was refused with {reason.name}")

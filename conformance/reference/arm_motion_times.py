@@ -10,7 +10,7 @@ from itertools import pairwise
 from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned, watched
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import (
     CENTRED,
@@ -66,8 +66,7 @@ def _took_ms(seen: list[Watched]) -> float:
     needs=OptionalPart.PATHS,
 )
 def path_times(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     middle = moved(scene.here, dz=0.015)
     seen = until_done(watch, ReferencePath(peer.new_id(), (middle, scene.here), 0.8, 0.4))
     at_rest = [each for each in seen if math.dist(each.state.X_BT_cmd.p_m, middle.p_m) < AT_M]
@@ -89,8 +88,7 @@ def path_times(peer: Peer) -> None:
 
 @case(558, "6.7", "duration_s is the time of the motion", motion=True)
 def takes_its_time(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     for goal, seconds in ((scene.goal, 0.8), (scene.here, 1.2)):
         took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), goal, seconds)))
         slack = LATE_MS + watch.period_ms
@@ -102,8 +100,7 @@ def takes_its_time(peer: Peer) -> None:
 
 @case(559, "6.7", "duration_s of 0 is the shortest time that would have been accepted", motion=True)
 def shortest(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), scene.goal, 0.0)))
     # The way back is as long; a controller that calls a motion done when the arm has settled adds its lag.
     shorter = reference_reason(peer, scene.here, 0.6 * took * 1e-3)
@@ -115,8 +112,7 @@ def shortest(peer: Peer) -> None:
 
 @case(560, "6.9", "a new reference replaces the one being followed, without a step of the speed", motion=True)
 def replaces(peer: Peer) -> None:
-    scene = entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.MOVING)
     before = watch.during(UNDER_WAY_MS)
     seen = until_done(watch, ReferencePose(peer.new_id(), scene.here, 1.5))
     require_near(seen[-1].state.X_BT_cmd, scene.here, 1e-6, "it ends from where it was sent")
@@ -127,8 +123,7 @@ def replaces(peer: Peer) -> None:
 
 @case(568, "6.9", "a reference that is refused leaves the motion that is followed as it is", motion=True)
 def refused_in_motion(peer: Peer) -> None:
-    scene = entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.MOVING)
     motion_id = peer.state().motion_id
     seen = watch.during(100.0)
     nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
@@ -143,8 +138,7 @@ def refused_in_motion(peer: Peer) -> None:
 
 def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
     """The STATEs from a stop in the middle of a motion to its end; the first is of before."""
-    scene = entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.MOVING)
     seen = watch.during(UNDER_WAY_MS)[-1:]
     require_reason(peer, code, Reason.ACCEPTED, "MOVING")
     what = f"{code.name} does not lead to {end.name}"
@@ -173,8 +167,7 @@ def stop_is_smooth(peer: Peer) -> None:
     571, "7.4", "EMERGENCY_STOP in motion: no valve is driven from the scan on that latches it", motion=True
 )
 def centred_at_once(peer: Peer) -> None:
-    entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    _, watch = watched(peer, Mode.MOVING)
     watch.during(UNDER_WAY_MS / 2.0)
     sent_ns = peer.now_ns
     require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")

@@ -12,8 +12,7 @@ import numpy as np
 from conformance.case import case, moving_case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, require_following, turned_in_base
-from conformance.reference.arm_transitions import entered
+from conformance.reference.arm_state_truth import StateWatch, require_following, turned_in_base, watched
 from conformance.reference.framing import stop
 from conformance.reference.motion import (
     CENTRED,
@@ -249,8 +248,7 @@ def _require_near(last: State, what: str) -> None:
 
 @case(595, "1.6", "each joint goes as its command and its valve say, and as its sign says", motion=True)
 def signs(peer: Peer) -> None:
-    here = entered(peer, Mode.STANDBY).here
-    watch = StateWatch(peer)
+    (here, *_), watch = watched(peer, Mode.STANDBY)
     turns = []
     for axis, goal in enumerate(_goals(here)):
         what = f"along axis {axis + 1}" if axis < 3 else f"about axis {axis - 2}"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from conformance.case import case
 from conformance.peer import Peer
-from conformance.reference.arm_transitions import entered, is_ramping
+from conformance.reference.arm_transitions import ReachedMode, entered, is_ramping
 from conformance.reference.motion import (
     CENTRED,
     accepted,
@@ -83,6 +83,11 @@ class StateWatch:
         seen = self.during(wait_ms, until=wanted)
         require(wanted(seen[-1].state), why)
         return seen
+
+
+def watched(peer: Peer, mode: Mode) -> tuple[ReachedMode, StateWatch]:
+    """A mode that was reached, as ``entered``, and a watch that was made in it."""
+    return entered(peer, mode), StateWatch(peer)
 
 
 def turned(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
@@ -207,8 +212,7 @@ def _drive_to(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[
 
 @case(516, "7.8", "motion_done is 0 until the motion has ended, then 1; a refusal leaves it", motion=True)
 def done_at_its_end(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     motion_id, seen = _drive_to(watch, scene.goal, 0.8)
     for each in seen[:-1]:
         require(each.state.motion_id == motion_id, "motion_id is not the motion's")
@@ -242,8 +246,7 @@ def _leads(ahead: Sequence[float]) -> bool:
 
 @case(518, "7.7", "in motion the measurement follows the command, and the valves drive it", motion=True)
 def measured_follows(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     begin = peer.state()
     _, seen = _drive_to(watch, scene.goal, 1.2)
     states = [each.state for each in (*seen, *watch.during(300.0))]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from conformance.case import stream_case
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned_in_base
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned_in_base, watched
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import angle_between, moved, reach, require_near, require_reason
 from conformance.reference.streaming import NUMBERS, Stream, opened_stream
@@ -82,8 +82,7 @@ class MovingReference(NamedTuple):
 def _begin_stream(
     peer: Peer, velocity: Axes, turning: Axes = AT_REST
 ) -> tuple[Stream, StateWatch, MovingReference]:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     stream = opened_stream(peer)
     peer.passed_over.clear()
     return stream, watch, MovingReference(scene.here, peer.now_ns, velocity, turning)
@@ -126,8 +125,7 @@ def _furthest(seconds: float) -> float:
 
 @stream_case(579, "12.7", "it sets out with bounded acceleration and jerk")
 def sets_out_smoothly(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     stream = opened_stream(peer)
     seen, sent_ns = [], peer.now_ns
     for _ in range(12):

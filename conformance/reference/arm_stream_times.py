@@ -11,7 +11,7 @@ from typing import Any
 
 from conformance.case import stream_case
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned, watched
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import moved, reach, require_near, require_reason, require_shown, scaled
 from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream, opened_stream
@@ -29,19 +29,11 @@ FEED_MS = 10.0
 
 def followed(peer: Peer, metres: float = 0.02) -> tuple[Stream, StateWatch, Pose]:
     """A stream that is on its way up by ``metres``, a watch, and the pose that it is sent to."""
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)  # before the stream: its echoes take longer than a silence may
+    scene, watch = watched(peer, Mode.STANDBY)  # before the stream: its echoes take longer than a silence may
     stream = opened_stream(peer)
     goal = moved(scene.here, dz=metres)
     stream.feed(goal, 150.0)
     return stream, watch, goal
-
-
-def given(stream: Stream, pose: Pose) -> int:
-    """When the next reference was sent (ns)."""
-    sent_ns = stream.peer.now_ns
-    stream.give(pose)
-    return sent_ns
 
 
 def _is_over(state: State) -> bool:
@@ -59,7 +51,7 @@ def _until_over(watch: StateWatch, sent_ns: int, most_ms: float) -> list[tuple[f
 def silence_stops(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
     cycle_ms = peer.welcome.cycle_ns / MS
-    sent_ns = given(stream, goal)
+    sent_ns = stream.give(goal)
     seen = _until_over(watch, sent_ns, 2000.0)
     after, last = seen[-1]
     require(not last.state.flags & FLAG_STREAMING, "the flag STREAMING is still set")
@@ -90,8 +82,7 @@ def _require_ramp(seen: list[tuple[float, Watched]], begins_ms: float, cycle_ms:
 
 @stream_case(574, "12.8", f"the first reference is waited for, at rest, for {FIRST_REFERENCE_MS:g} ms")
 def first_reference(peer: Peer) -> None:
-    entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    _, watch = watched(peer, Mode.STANDBY)
     sent_ns = peer.now_ns
     opened_stream(peer)
     at = peer.state().X_BT_cmd
@@ -107,7 +98,7 @@ def first_reference(peer: Peer) -> None:
 )
 def session_ends(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
-    sent_ns = given(stream, goal)
+    sent_ns = stream.give(goal)
     peer.collect(FEED_MS)
     peer.reopen(capabilities=BOTH, period_ms=0)
     seen = _until_over(watch, sent_ns, 2000.0)

@@ -1,12 +1,12 @@
 """Cases 141…, 242…: the order of the checks, and what they tell apart (clauses 3 to 5)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import signed
-from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, a_path, flags_of, refused, stop
+from conformance.reference.framing import COMMAND_BYTES, FLAGS, KIND, MAJOR, flags_of, stop
 from conformance.reference.handshake import require_ended
 from conformance.reference.sessions import hello, welcomes
 from conformance.wire import MS, Unsupported, require, resealed, with_bit_flipped
@@ -25,12 +25,6 @@ from protocol.reference_messages import (
 )
 
 MAGIC_BIT = 5
-
-
-@case(141, "3.2", "REFERENCE_PATH with a bit flipped in any of its bytes is dropped", opens=50)
-def flipped_path(peer: Peer) -> None:
-    data = a_path(peer)
-    refused(peer, [with_bit_flipped(data, bit) for bit in range(0, 8 * len(data), 29)], "a flipped bit")
 
 
 @case(
@@ -175,13 +169,16 @@ def bye_of_others(peer: Peer) -> None:
         peer.alive(f"after a BYE of another {what}")
 
 
+def sessions_of(peer: Peer, count: int) -> Iterator[Welcome]:
+    """Open and leave so many sessions: the WELCOME of each, while it is open."""
+    for _ in range(count):
+        yield peer.open()
+        peer.leave()
+
+
 @case(246, "8", "the nonces of the last 64 sessions open nothing")
 def nonces_remembered(peer: Peer) -> None:
-    nonces = []
-    for _ in range(64):
-        nonces.append(peer.nonce())
-        peer.open(nonce=nonces[-1])
-        peer.leave()
+    nonces = [welcome.client_nonce for welcome in sessions_of(peer, 64)]
     for nonce in (nonces[0], nonces[1], nonces[-1]):
         hello(peer, nonce)
     require(not welcomes(peer), "the nonce of one of the last 64 sessions was welcome")

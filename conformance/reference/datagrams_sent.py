@@ -9,7 +9,7 @@ from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.arm_transitions import entered
 from conformance.reference.authentication import OTHER_KEY, key_case, signed
-from conformance.reference.datagram_refusals import require_greeted
+from conformance.reference.datagram_refusals import require_greeted, sessions_of
 from conformance.reference.framing import MAJOR, refused, stop
 from conformance.reference.handshake import granted, require_begun
 from conformance.reference.order import WINDOW, require_window
@@ -74,21 +74,13 @@ def last_word(peer: Peer) -> None:
 
 @case(135, "4.2", "what WELCOME says of the controller is the same in every session")
 def same_controller(peer: Peer) -> None:
-    seen = []
-    for _ in range(3):
-        welcome = peer.open()
-        seen.append(welcome._replace(client_nonce=0))
-        peer.leave()
+    seen = [welcome._replace(client_nonce=0) for welcome in sessions_of(peer, 3)]
     require(len(set(seen)) == 1, f"{seen[0]}, then {seen[-1]}")
 
 
 @case(137, "4.2", f"the numbers of {SESSIONS} sessions cannot be told from one another")
 def unguessable(peer: Peer) -> None:
-    numbers = []
-    for _ in range(SESSIONS):
-        peer.open()
-        numbers.append(peer.session)
-        peer.leave()
+    numbers = [peer.session for _ in sessions_of(peer, SESSIONS)]
     for a, b in itertools.combinations(numbers, 2):
         differ = (a ^ b).bit_count()
         require(differ >= LEAST_BITS, f"sessions {a:016x} and {b:016x} differ in {differ} bits")

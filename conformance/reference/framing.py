@@ -148,6 +148,14 @@ all_refused(
             ),
         ),
         (
+            141,
+            "3.2",
+            "REFERENCE_PATH with a bit flipped in any of its bytes is dropped",
+            lambda peer, _: (
+                with_bit_flipped(path, bit) for path in [a_path(peer)] for bit in range(0, 8 * len(path), 29)
+            ),
+        ),
+        (
             116,
             "3.4",
             "each unknown critical flag is refused",

@@ -47,11 +47,13 @@ class Stream:
         self.stream_id = stream_id
         self.number = number
 
-    def give(self, pose: Pose, **more: Any) -> None:
-        """Sends the next reference; ``more`` overrides fields of it."""
-        fields = {"stream_id": self.stream_id, "number": self.number, "time_ns": self.peer.now_ns}
+    def give(self, pose: Pose, **more: Any) -> int:
+        """Sends the next reference; ``more`` overrides fields of it. Returns the time of sending, ns."""
+        now_ns = self.peer.now_ns
+        fields = {"stream_id": self.stream_id, "number": self.number, "time_ns": now_ns}
         self.peer.send(StreamedPose(X_BT_ref=pose, **(fields | more)))
         self.number = (self.number + 1) % NUMBERS
+        return now_ns
 
     def feed(self, pose: Pose, wait_ms: float) -> list[State]:
         """References to ``pose`` for ``wait_ms``, none of them refused; the states that came meanwhile."""
@@ -171,13 +173,6 @@ def follows(peer: Peer) -> None:
     stream.feed(state.X_BT_cmd, 2500.0)
 
 
-def silenced(peer: Peer) -> tuple[Stream, State]:
-    """A stream that was followed and then fell silent; the STATE of its end."""
-    stream, state = opened(peer)
-    stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 300.0)
-    return stream, reach(peer, GroupState.ERROR_STOP, "after silence", 2000)
-
-
 @stream_case(553, "12.4", "references that are refused do not keep a stream alive")
 def refused_is_silence(peer: Peer) -> None:
     stream, state = opened(peer)
@@ -192,7 +187,9 @@ def refused_is_silence(peer: Peer) -> None:
 
 @stream_case(554, "12.9", "after silence nothing resumes: not by references, not by RESET and ENABLE")
 def no_resume(peer: Peer) -> None:
-    stream, state = silenced(peer)
+    stream, state = opened(peer)
+    stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 300.0)
+    state = reach(peer, GroupState.ERROR_STOP, "after silence", 2000)
     ahead = moved(state.X_BT_cmd, dz=STEP_M)
     stream.refused(ahead, Reason.ERROR_LATCHED, "a reference after the stop")
     require_reason(peer, CommandCode.START_STREAM, Reason.ERROR_LATCHED, "error")
