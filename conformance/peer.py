@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from conformance.wire import ANSWER_MS, Failed, NoAnswer, Unsupported, Wire, require
 from protocol.faults import CommandCode, Reason
@@ -21,13 +21,6 @@ HELLO_MS = 100
 SESSION_MS = 6000
 # A refusal outside a session is rationed to one in 50 ms: a second one is asked for no sooner.
 RATION_MS = 60
-
-
-class Tallies(NamedTuple):
-    """What STATE counts as lost and as dropped."""
-
-    lost: int
-    dropped: int
 
 
 class Peer(Wire):
@@ -157,20 +150,13 @@ class Peer(Wire):
                 return state
         raise Failed(f"{why}: not within {wait_ms:g} ms; {state.group_state.name}, fault {state.fault.name}")
 
-    def tallies(self) -> Tallies:
-        """What STATE counts now."""
-        state = self.state()
-        return Tallies(state.references_lost, state.references_dropped)
-
     def require_counted(
-        self, before: Tallies, what: str, *, lost: int | None = None, dropped: int | None = None
-    ) -> Tallies:
-        """What STATE counts now; Failed unless so many more were ``lost``, ``dropped`` (None: any number)."""
-        now = self.tallies()
-        for name, counted, wanted in zip(
-            Tallies._fields, zip(now, before, strict=True), (lost, dropped), strict=True
-        ):
-            more = counted[0] - counted[1]
+        self, before: State, what: str, *, lost: int | None = None, dropped: int | None = None
+    ) -> State:
+        """A STATE of now; Failed unless it counts so many more ``lost``, ``dropped`` (None: any number)."""
+        now = self.state()
+        for name, wanted in (("lost", lost), ("dropped", dropped)):
+            more = getattr(now, f"references_{name}") - getattr(before, f"references_{name}")
             require(wanted in (None, more), f"{what}: {more} {name}, wanted {wanted}")
         return now
 

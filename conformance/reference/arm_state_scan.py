@@ -12,7 +12,7 @@ import numpy as np
 from conformance.case import case, moving_case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, require_following, turned_in_base, watched
+from conformance.reference.arm_state_truth import StateWatch, require_following, turned, watched
 from conformance.reference.framing import stop
 from conformance.reference.motion import (
     CENTRED,
@@ -209,7 +209,7 @@ SLEW, LIFT, TILT, UP, ABOUT_UP = 0, 1, 2, 2, 5
 def _goals(here: Pose) -> list[Pose]:
     axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     return [*(moved(here, *(STEP_M * c for c in axis)) for axis in axes),
-            *(turned_in_base(here, TURN_RAD, axis) for axis in axes)]  # fmt: skip
+            *(turned(here, TURN_RAD, axis, in_base=True) for axis in axes)]  # fmt: skip
 
 
 def _way(watch: StateWatch, goal: Pose) -> list[State]:

@@ -90,22 +90,17 @@ def watched(peer: Peer, mode: Mode) -> tuple[ReachedMode, StateWatch]:
     return entered(peer, mode), StateWatch(peer)
 
 
-def turned(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
-    """``pose`` turned by ``angle`` (rad) about an axis of its own T, by default the last joint's."""
+Axis = tuple[float, float, float]
+
+
+def turned(pose: Pose, angle: float, axis: Axis = (0.0, 0.0, 1.0), *, in_base: bool = False) -> Pose:
+    """``pose`` turned by ``angle`` (rad) about an axis of its own T, by default the last joint's, or of B."""
     s = math.sin(angle / 2.0)
-    return pose._replace(q_wxyz=_product(pose.q_wxyz, (math.cos(angle / 2.0), *(s * c for c in axis))))
+    turn = (math.cos(angle / 2.0), *(s * c for c in axis))
+    return pose._replace(q_wxyz=_product(turn, pose.q_wxyz) if in_base else _product(pose.q_wxyz, turn))
 
 
-def turned_in_base(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
-    """``pose`` turned by ``angle`` (rad) about an axis of B."""
-    s = math.sin(angle / 2.0)
-    return pose._replace(q_wxyz=_product((math.cos(angle / 2.0), *(s * c for c in axis)), pose.q_wxyz))
-
-
-Quaternion = tuple[float, float, float, float]
-
-
-def _product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
+def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
     w, x, y, z = a
     p, q, r, s = b
     return (

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from conformance.case import stream_case
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned_in_base, watched
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned, watched
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import angle_between, moved, reach, require_near, require_reason
 from conformance.reference.streaming import NUMBERS, Stream, opened_stream
@@ -61,7 +61,7 @@ class MovingReference(NamedTuple):
         if self.turn == 0.0:
             return there
         x, y, z = (w / self.turn for w in self.turning)
-        return turned_in_base(there, self.turn * seconds, (x, y, z))
+        return turned(there, self.turn * seconds, (x, y, z), in_base=True)
 
     def give(self, stream: Stream, age_ms: float = 0.0) -> None:
         """Sends it, as it was ``age_ms`` ago."""

@@ -190,7 +190,7 @@ def forged_moves_nothing(peer: Peer) -> None:
 
 @key_case(717, "11.10", "refused datagrams are counted in STATE as dropped, and not as lost", opens=20)
 def forged_is_counted(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     for key in (None, peer.keys_of(peer.session).receives, OTHER_KEY.of_hello()):
         peer.send_beside(peer, partial(signed, peer, stop(peer), key))
     peer.alive("after three forgeries")
@@ -218,7 +218,7 @@ def unsigned_bye(peer: Peer) -> None:
     721, "11.7", "a late datagram is no replay: it is not used, and taken off the losses once", opens=20
 )
 def late_is_no_replay(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     held = [peer.encoded(stop(peer)) for _ in range(3)]
     peer.alive("after a gap of 3")
     refused(peer, [held[1]] * 3, "a late datagram")

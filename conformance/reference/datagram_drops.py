@@ -263,7 +263,7 @@ def replayed_beside_a_session(peer: Peer) -> None:
     message = Hello(nonce, 1 | peer.required, 0, 50)
     granted(peer)
     peer.alive("beside a grant")
-    before, ahead = peer.tallies(), peer.sequence + 1000
+    before, ahead = peer.state(), peer.sequence + 1000
     peer.send(message, session=0, sequence=ahead, sent_ns=peer.now_ns + 10_000 * MS)
     peer.alive("beside a grant, after a HELLO of an earlier session")
     peer.require_counted(before, "a HELLO of an earlier session", lost=0, dropped=1)

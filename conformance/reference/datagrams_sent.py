@@ -181,7 +181,7 @@ def key_before_all_else(peer: Peer) -> None:
 def nothing_moves(peer: Peer) -> None:
     peer.alive("before")
     replay = peer.send(Heartbeat(1))
-    counted = peer.tallies()
+    counted = peer.state()
     keys = (None, peer.hello_key, OTHER_KEY.of_hello(), peer.keys_of(peer.session).receives)
     for n, key in enumerate(keys):
         before = peer.sequence
@@ -197,7 +197,7 @@ def nothing_moves(peer: Peer) -> None:
     727, "11.7", "HELLO's number is the client's first: what is skipped behind it counts as lost", opens=20
 )
 def first_number_of_a_session(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     peer.leave()
     peer.sequence = 2**40 + 7
     session = granted(peer, period_ms=20)

@@ -54,7 +54,7 @@ def any_start(peer: Peer) -> None:
 def losses_counted(peer: Peer) -> None:
     for start in (1000, SEQUENCES - 6):
         peer.open(period_ms=20, sequence=start)
-        before = peer.tallies()
+        before = peer.state()
         held = [peer.encoded(stop(peer)) for _ in range(10)]
         peer.alive("after a gap")
         peer.require_counted(before, f"a gap of 10 in a session from {start} on", lost=10)
@@ -165,7 +165,7 @@ def window(peer: Peer) -> None:
 
 def require_window(peer: Peer, rows: tuple[tuple[int, int], ...]) -> None:
     """Behind a gap of 99 send one so far ``behind``: it is dropped, and so many are taken off the losses."""
-    before = peer.tallies()
+    before = peer.state()
     for behind, taken_off in rows:
         peer.sequence += 99
         peer.alive("behind a gap of 99")
@@ -176,7 +176,7 @@ def require_window(peer: Peer, rows: tuple[tuple[int, int], ...]) -> None:
 
 @case(321, "5.2", "a late datagram is taken off the losses once, and a duplicate never", opens=20)
 def taken_off_once(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     held = [peer.encoded(stop(peer)) for _ in range(5)]
     newest = peer.send(Heartbeat(1))
     old = peer.encoded(stop(peer), sequence=(peer.sequence - 300) % peer.sequences)
@@ -186,7 +186,7 @@ def taken_off_once(peer: Peer) -> None:
 
 @case(322, "8", "a leap is no loss, is counted as dropped, and moves nothing", opens=20)
 def leaps_count(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     for _ in range(3):
         peer.send(stop(peer), sequence=(peer.sequence + WORD + 1) % peer.sequences)
     used_next(peer, "the next number after leaps")
@@ -195,7 +195,7 @@ def leaps_count(peer: Peer) -> None:
 
 @case(323, "5.2", "a gap is counted exactly: of 1, of 2, of 63, 64, 65 and of 65535", opens=20)
 def exact_gaps(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     for gap in (0, 1, 2, WINDOW - 1, WINDOW, WINDOW + 1, WORD - 1):
         peer.sequence += gap
         peer.alive(f"behind a gap of {gap}")
@@ -205,7 +205,7 @@ def exact_gaps(peer: Peer) -> None:
 @case(324, "3.5", "whatever is dropped is counted as dropped, and not as lost", opens=20)
 def drops_are_counted(peer: Peer) -> None:
     other = peer.second()
-    before = peer.tallies()
+    before = peer.state()
     for what, source, data in dropped(peer, other):
         peer.send_beside(source, data)
         peer.collect(10)
@@ -215,7 +215,7 @@ def drops_are_counted(peer: Peer) -> None:
 @case(325, "5.3", "a stale datagram came: it moves the number, and what it skipped is lost", opens=20)
 def stale_came(peer: Peer) -> None:
     peer.alive("a fresh datagram")
-    before = peer.tallies()
+    before = peer.state()
     held = peer.encoded(stop(peer))
     peer.send(stop(peer), sent_ns=peer.now_ns - 5 * peer.timeout_ms * MS)
     refused(peer, [held], "a late datagram behind a stale one")
