@@ -103,7 +103,7 @@ def in_a_stream(peer: Peer) -> None:
             got = _streamed(stream, here, offset, bits)
             good = got is not None and got[2:] == (Reason.NOT_FINITE, 0.0, 1.0)
             require(good, f"{bits:#018x} as number {place}: {got}")
-            stream.feed(here, LIMITS_FEED_MS)
+            stream.feed(here, 3 * LIMITS_FEED_MS)  # so long that it rests at its end
     require(math.dist(peer.state().X_BT_cmd.p_m, here.p_m) < ROUNDED, "the commanded pose moved")
 
 

@@ -187,11 +187,6 @@ SIDE = 0.01
 TRIES = 12
 
 
-def _require(got: Acknowledgement, reason: Reason, limit: float, what: str) -> None:
-    expect_reason(got, reason, what)
-    require(abs(got.limit - limit) < 1e-9, f"{what}: limit {got.limit:g}, before it was {limit:g}")
-
-
 @case(563, "6.9", "a time that is too short for the way: both sides of what is TOO_FAST", motion=True)
 def too_fast(peer: Peer) -> None:
     goal = moved(entered(peer, Mode.STANDBY).here, dz=0.06)
