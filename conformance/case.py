@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from enum import Enum
+from functools import partial
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from conformance.master import Master
@@ -79,6 +80,9 @@ class CaseRegister(Generic[P]):
 
 
 reference = CaseRegister[Peer](OptionalPart.MOTION)
+case = reference.case
+moving_case = partial(case, motion=True)
+stream_case = partial(moving_case, needs=OptionalPart.STREAMING)
 coupler = CaseRegister[Master](OptionalPart.OUTPUTS)
 
 

@@ -34,19 +34,14 @@ class Lengths(NamedTuple):
     digital_inputs: int
 
 
-def read_request(function: int, address: int, count: int) -> bytes:
-    """A request of function code 1 to 4."""
-    return struct.pack(">BHH", function, address, count)
-
-
 def write_request(address: int, words: list[int]) -> bytes:
     """A request of function code 16."""
     return struct.pack(f">BHHB{len(words)}H", WRITE_REGISTERS, address, len(words), 2 * len(words), *words)
 
 
-def word_request(address: int, word: int) -> bytes:
-    """A request of function code 6."""
-    return struct.pack(">BHH", WRITE_REGISTER, address, word)
+def word_request(address: int, word: int, function: int = WRITE_REGISTER) -> bytes:
+    """A request of function code 6; of 1 to 4 ``word`` is the quantity."""
+    return struct.pack(">BHH", function, address, word)
 
 
 class Master:
@@ -78,12 +73,10 @@ class Master:
 
     def close(self) -> None:
         """Leaves the coupler as a fresh one, if a case touched it, and closes every connection."""
-        for each in self._others:
+        for each in (*self._others, self):
             each.hang_up()
-        self.hang_up()
         if self._touched:
-            last = Master(*self.address, self.unit, outputs=True, record=self.transcript,
-                          begin_ns=self._begin_ns)  # fmt: skip
+            last = self.second()
             try:
                 last.make_fresh()
             finally:
@@ -160,7 +153,7 @@ class Master:
 
     def words(self, address: int, count: int, function: int = READ_HOLDING) -> list[int]:
         """Registers; raises Failed unless exactly as many come."""
-        answer = self.done(read_request(function, address, count), f"reading {count} at {address:#06x}")
+        answer = self.done(word_request(address, count, function), f"reading {count} at {address:#06x}")
         require(
             len(answer) == 2 + 2 * count and answer[1] == 2 * count, f"{count} words came as {answer.hex()}"
         )
@@ -187,15 +180,15 @@ class Master:
         for word in RESET_WORDS:
             self.done(word_request(WATCHDOG_RESET, word), f"reset word {word:#06x}")
 
-    def make_fresh(self) -> None:
-        """Watchdog inactive, outputs zero, times as at start."""
+    def make_fresh(self, watchdog_ms: int = WATCHDOG_DEFAULT_MS, trigger: int = 1) -> None:
+        """Watchdog inactive, outputs zero, times as at start or as given."""
         self.reset()
         lengths = self.lengths()
         words = lengths.analog_outputs + (lengths.digital_outputs + 15) // 16
         self.done(write_request(OUTPUTS, [0] * words), "zeroing the outputs")
         self.reset()
-        self.done(word_request(WATCHDOG_TIME_MS, WATCHDOG_DEFAULT_MS), "setting the watchdog's time")
-        self.done(word_request(WATCHDOG_TRIGGER, 1), "setting the watchdog's trigger")
+        self.done(word_request(WATCHDOG_TIME_MS, watchdog_ms), "setting the watchdog's time")
+        self.done(word_request(WATCHDOG_TRIGGER, trigger), "setting the watchdog's trigger")
 
     def owned_by_another(self, trigger: int = 1) -> bool:
         """Whether writing ``trigger``, which moves nothing, is refused because of the outputs' owner."""
@@ -208,9 +201,7 @@ class Master:
         if self.owned_by_another(trigger):
             raise Unsupported("another master owns the outputs")
         self._touched = True
-        self.make_fresh()
-        self.done(word_request(WATCHDOG_TIME_MS, watchdog_ms), "setting the watchdog's time")
-        self.done(word_request(WATCHDOG_TRIGGER, trigger), "setting the watchdog's trigger")
+        self.make_fresh(watchdog_ms, trigger)
         return self.lengths()
 
     def _note(self, direction: str, data: bytes) -> None:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 from conformance.wire import ANSWER_MS, Failed, NoAnswer, Unsupported, Wire, require
 from protocol.faults import CommandCode, Reason
@@ -10,7 +10,6 @@ from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
-    Heartbeat,
     HeartbeatReply,
     Hello,
     Request,
@@ -22,13 +21,6 @@ HELLO_MS = 100
 SESSION_MS = 6000
 # A refusal outside a session is rationed to one in 50 ms: a second one is asked for no sooner.
 RATION_MS = 60
-
-
-class Tallies(NamedTuple):
-    """What STATE counts as lost and as dropped."""
-
-    lost: int
-    dropped: int
 
 
 class Peer(Wire):
@@ -107,8 +99,7 @@ class Peer(Wire):
 
     def alive(self, why: str) -> HeartbeatReply:
         """The reply to a heartbeat of now; raises Failed with ``why`` when there is none."""
-        now_ns = self.now_ns
-        self.send(Heartbeat(now_ns), sent_ns=now_ns)
+        now_ns = self.heartbeat()
         what = f"{why}: the session is not alive"
         return self.expect(HeartbeatReply, what, beating=False, wanted=lambda r: r.sent_ns == now_ns)
 
@@ -133,6 +124,19 @@ class Peer(Wire):
         fence += self.passed_over + self.collect(1.0)
         return [d.message for d in fence if isinstance(d.message, Acknowledgement)]
 
+    def gather(
+        self, kind: Any, count: int, wait_ms: float = ANSWER_MS, *, after_ms: float = 3.0,
+        beating: bool = True,
+    ) -> list[Any]:  # fmt: skip
+        """The messages of ``kind`` until ``count`` have come, or for ``wait_ms``; and ``after_ms`` on."""
+        got: list[Any] = []
+        for _, message in self.arriving(wait_ms, beating=beating):
+            got += [message] if isinstance(message, kind) else []
+            if len(got) >= count:
+                break
+        behind = self.collect(after_ms, beating=beating)
+        return got + [message for _, message in behind if isinstance(message, kind)]
+
     def state(self, why: str = "STATE is sent") -> State:
         """A STATE that was sent after now; raises Failed."""
         self.drain()
@@ -146,20 +150,13 @@ class Peer(Wire):
                 return state
         raise Failed(f"{why}: not within {wait_ms:g} ms; {state.group_state.name}, fault {state.fault.name}")
 
-    def tallies(self) -> Tallies:
-        """What STATE counts now."""
-        state = self.state()
-        return Tallies(state.references_lost, state.references_dropped)
-
     def require_counted(
-        self, before: Tallies, what: str, *, lost: int | None = None, dropped: int | None = None
-    ) -> Tallies:
-        """What STATE counts now; Failed unless so many more were ``lost``, ``dropped`` (None: any number)."""
-        now = self.tallies()
-        for name, counted, wanted in zip(
-            Tallies._fields, zip(now, before, strict=True), (lost, dropped), strict=True
-        ):
-            more = counted[0] - counted[1]
+        self, before: State, what: str, *, lost: int | None = None, dropped: int | None = None
+    ) -> State:
+        """A STATE of now; Failed unless it counts so many more ``lost``, ``dropped`` (None: any number)."""
+        now = self.state()
+        for name, wanted in (("lost", lost), ("dropped", dropped)):
+            more = getattr(now, f"references_{name}") - getattr(before, f"references_{name}")
             require(wanted in (None, more), f"{what}: {more} {name}, wanted {wanted}")
         return now
 
@@ -169,11 +166,15 @@ class Peer(Wire):
             yield self.state(why)
 
 
+_OTHER_KEY = {
+    Reason.NOT_AUTHENTICATED: "the controller demands authentication: --key",
+    Reason.KEY_NOT_CONFIGURED: "the controller has no key: authentication is not offered",
+}
+
+
 def _require_retry(reason: Reason) -> None:
     """Return if HELLO is to be sent again; else raise Unsupported or Failed."""
-    if reason is Reason.NOT_AUTHENTICATED:
-        raise Unsupported("the controller demands authentication: --key")
-    if reason is Reason.KEY_NOT_CONFIGURED:
-        raise Unsupported("the controller has no key: authentication is not offered")
+    if reason in _OTHER_KEY:
+        raise Unsupported(_OTHER_KEY[reason])
     if reason is not Reason.SESSION_OCCUPIED:
         raise Failed(f"HELLO was refused with {reason.name}")

@@ -4,7 +4,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import count
 from typing import Any, NamedTuple, TypeVar
 from zlib import crc32
@@ -258,21 +258,25 @@ class Wire:
         resized = data[:HEADER_BYTES] + payload[:size].ljust(size, b"\0") + trailer
         return self.with_number(resized, LENGTH, "H", size)
 
-    def send(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
-             session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
-        """Seals and sends."""
-        return self.send_raw(
-            self.encoded(
-                message, sequence=sequence, sent_ns=sent_ns, session=session, minor=minor, flags=flags
-            )
-        )
+    def send(self, message: Message, **header: Any) -> bytes:
+        """Seals, as ``encoded``, and sends."""
+        return self.send_raw(self.encoded(message, **header))
 
     def beat(self) -> None:
         """Sends a heartbeat when one is due."""
         if self.session and self.now_ns >= self._heartbeat_ns:
-            now_ns = self.now_ns
-            self._heartbeat_ns = now_ns + self.timeout_ms * MS // 5
-            self.send(Heartbeat(now_ns), sent_ns=now_ns)
+            self._heartbeat_ns = self.heartbeat() + self.timeout_ms * MS // 5
+
+    def heartbeat(self, session: int | None = None) -> int:
+        """Sends a heartbeat of now; returns its time, ns."""
+        now_ns = self.now_ns
+        self.send(Heartbeat(now_ns), sent_ns=now_ns, session=session)
+        return now_ns
+
+    def send_at_once(self, messages: Iterable[Message]) -> list[bytes]:
+        """Sends these one right behind the other, all sealed before; their datagrams."""
+        sealed = [self.encoded(message) for message in messages]
+        return [self.send_raw(data) for data in sealed]
 
     def set_back(self, by_ns: int) -> None:
         """Sets the tester's clock back in the middle of a session; a heartbeat is due at once."""
@@ -350,13 +354,13 @@ class Wire:
         return list(self.arriving(wait_ms, beating=beating))
 
     def require_came(
-        self, wanted: list[Message], wait_ms: float, why: str, *, of: Any = object, but: Any = (),
+        self, wanted: Sequence[Message], wait_ms: float, why: str, *, of: Any = object, but: Any = (),
         beating: bool = False,
     ) -> None:  # fmt: skip
         """Require that these messages come within ``wait_ms``: of the kinds ``of``, none of ``but``."""
         got = [d.message for d in self.collect(wait_ms, beating=beating)]
         got = [message for message in got if isinstance(message, of) and not isinstance(message, but)]
-        require(got == wanted, f"{why}: came {got}, wanted {wanted}")
+        require(got == list(wanted), f"{why}: came {got}, wanted {wanted}")
 
     def drain(self) -> None:
         """Forgets what has come so far."""

@@ -1,16 +1,17 @@
 """Cases of several datagrams at once: each has its one answer, as 6.2 to 6.14 say, whatever its kind."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise, product
 from typing import NamedTuple
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
 from conformance.reference.motion import STEP_M, disabled, enabled, moved
 from conformance.reference.streaming import BOTH
-from conformance.wire import ANSWER_MS, MS, Unsupported, require
+from conformance.wire import Unsupported, require
 from protocol.axes_group import ANSWERS, GroupRequest, Mode
 from protocol.datagram_layout import HEADER_BYTES, MAX_WAYPOINTS, Kind
 from protocol.faults import CommandCode, Reason
@@ -32,7 +33,6 @@ from protocol.reference_messages import (
     StreamRefused,
 )
 
-case = reference.case
 STOPS = (GroupRequest.STOP, GroupRequest.DISABLE, GroupRequest.EMERGENCY_STOP)
 AT_REST = (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY, Mode.STANDBY)
 _DONE = (Reason.ACCEPTED, Reason.ALREADY_DONE)
@@ -44,7 +44,7 @@ _FROM_DISABLED: dict[Mode, tuple[CommandCode, ...]] = {
     Mode.EMERGENCY: (CommandCode.EMERGENCY_STOP,),
 }
 CODE = HEADER_BYTES + 8
-UNKNOWN, SHORT_MS = 99, 3.0
+UNKNOWN = 99
 # A scan may begin between two of a burst; not between those of each burst.
 TRIES = 4
 
@@ -132,16 +132,6 @@ def to_mode(peer: Peer, mode: Mode) -> None:
         require(reason in _DONE, f"{code.name} on the way to {mode.name}: {reason.name}")
 
 
-def _answers_to(peer: Peer, requests: Iterable[Request]) -> list[Acknowledgement]:
-    """The answers to requests that were sent, and what comes after the last of them."""
-    wanted = {request.command_id for request in requests}
-    got: list[Acknowledgement] = []
-    until_ns = peer.now_ns + ANSWER_MS * MS
-    while not wanted <= {answer.command_id for answer in got} and peer.now_ns < until_ns:
-        got += [d.message for d in peer.collect(SHORT_MS) if isinstance(d.message, Acknowledgement)]
-    return got + [d.message for d in peer.collect(SHORT_MS) if isinstance(d.message, Acknowledgement)]
-
-
 def judge_burst(peer: Peer, mode: Mode, ways: tuple[Way, ...], here: Pose) -> bool:
     """Whether ``ways``, sent at once, were judged in one scan. Failed unless each has its one answer."""
     to_mode(peer, mode)
@@ -149,7 +139,7 @@ def judge_burst(peer: Peer, mode: Mode, ways: tuple[Way, ...], here: Pose) -> bo
     for _, data in made:
         peer.send_raw(data)
     requests = [request for request, _ in made]
-    answers = _answers_to(peer, requests)
+    answers = peer.gather(Acknowledgement, len(requests))
     got = tuple(a.reason for r in requests for a in answers if a.command_id == r.command_id)
     note = f"{' and '.join(way.name for way in ways)} in {mode.name}: {', '.join(r.name for r in got)}"
     require(len(answers) == len(ways) and got in set(allowed(mode, ways)), note)
@@ -173,28 +163,30 @@ def bursts(mode: Mode) -> Iterator[tuple[Way, ...]]:
             yield (way, way, way)
 
 
-def _enter(number: int, clause: str, mode: Mode) -> None:
-    def run(peer: Peer) -> None:
-        disabled(peer, capabilities=BOTH)
-        if peer.welcome.capabilities & BOTH != BOTH:
-            raise Unsupported("paths or streams are not granted", OptionalPart.STREAMING)
-        here = enabled(peer).X_BT_cmd if mode is Mode.STANDBY else peer.state().X_BT
-        for ways in bursts(mode):
-            moves = mode is Mode.STANDBY or all(way.request_kind is not GroupRequest.ENABLE for way in ways)
-            if moves or mode is Mode.EMERGENCY:
-                at_once = any(judge_burst(peer, mode, ways, here) for _ in range(TRIES))
-                names = " and ".join(way.name for way in ways)
-                require(at_once, f"{names} in {mode.name}: none overtakes another")
-        to_mode(peer, Mode.DISABLED)
-
-    title = f"of requests that come at once in {mode.name} each is judged, in its order, or overtaken"
-    case(number, clause, title, motion=mode is Mode.STANDBY, needs=OptionalPart.PATHS)(run)
+def at_once(mode: Mode, peer: Peer) -> None:
+    disabled(peer, capabilities=BOTH)
+    if peer.welcome.capabilities & BOTH != BOTH:
+        raise Unsupported("paths or streams are not granted", OptionalPart.STREAMING)
+    here = enabled(peer).X_BT_cmd if mode is Mode.STANDBY else peer.state().X_BT
+    for ways in bursts(mode):
+        moves = mode is Mode.STANDBY or all(way.request_kind is not GroupRequest.ENABLE for way in ways)
+        if moves or mode is Mode.EMERGENCY:
+            in_one_scan = any(judge_burst(peer, mode, ways, here) for _ in range(TRIES))
+            names = " and ".join(way.name for way in ways)
+            require(in_one_scan, f"{names} in {mode.name}: none overtakes another")
+    to_mode(peer, Mode.DISABLED)
 
 
 for _number, _clause, _mode in zip(
     (424, 425, 427, 426), ("6.6", "6.10", "6.11", "6.13"), AT_REST, strict=True
 ):
-    _enter(_number, _clause, _mode)
+    case(
+        _number,
+        _clause,
+        f"of requests that come at once in {_mode.name} each is judged, in its order, or overtaken",
+        motion=_mode is Mode.STANDBY,
+        needs=OptionalPart.PATHS,
+    )(partial(at_once, _mode))
 
 
 @case(435, "6.10", "without a capability what needs it is refused, and overtakes nothing")
@@ -205,9 +197,8 @@ def not_negotiated(peer: Peer) -> None:
     for ways in ((pose, path), (path, pose), (path, path)):
         made = [ReferencePose(peer.new_id(), here, 0.0) if way is pose
                 else ReferencePath(peer.new_id(), (here,), 0.0, 0.0) for way in ways]  # fmt: skip
-        for data in [peer.encoded(each) for each in made]:
-            peer.send_raw(data)
-        got = [answer.reason for answer in sorted(_answers_to(peer, made))]
+        peer.send_at_once(made)
+        got = [answer.reason for answer in sorted(peer.gather(Acknowledgement, len(made)))]
         wanted = [Reason.DISABLED if way is pose else Reason.NOT_NEGOTIATED for way in ways]
         require(got == wanted, f"{[way.name for way in ways]}: {[reason.name for reason in got]}")
 
@@ -255,24 +246,22 @@ def kinds_at_once(peer: Peer) -> None:
     kinds += [Kind.STREAMED_POSE] if can & CAPABILITY_STREAMING else []
     for burst in (*product(kinds, repeat=2), *((kind,) * 3 for kind in kinds), (*kinds, *kinds)):
         made = [_new(peer, kind, here) for kind in burst]
-        several = [peer.encoded(message) for message, _ in made]
         peer.drain()
-        for data in (*several, several[-1], several[0]):  # the last are duplicates (5.2)
+        several = peer.send_at_once(message for message, _ in made)
+        for data in (several[-1], several[0]):  # duplicates (5.2)
             peer.send_raw(data)
-        came: list[object] = []
-        until_ns = peer.now_ns + int(peer.grace_ms * MS)
         wanted = {use for message, use in made if not isinstance(message, StreamedPose)}
-        while peer.now_ns < until_ns and not wanted <= set(came):
-            came += _answers_in(peer, SHORT_MS)
-        came += _answers_in(peer, peer.grace_ms)
+        got = peer.gather(
+            Acknowledgement | HeartbeatReply | StreamRefused,
+            len(wanted),
+            peer.grace_ms,
+            after_ms=peer.grace_ms,
+            beating=False,
+        )
+        came = [_use(message) for message in got]
         streamed = {use for message, use in made if isinstance(message, StreamedPose)}
         names = " and ".join(kind.name for kind in burst)
         require(wanted <= set(came), f"{names} at once: {len(wanted - set(came))} not answered")
         require(len(came) == len(set(came)), f"{names} at once: one was answered twice")
         require(not streamed or bool(streamed & set(came)), f"{names} at once: no STREAM_REFUSED")
         require(set(came) <= wanted | streamed, f"{names} at once: {set(came) - wanted - streamed} came")
-
-
-def _answers_in(peer: Peer, wait_ms: float) -> list[object]:
-    kinds = Acknowledgement | HeartbeatReply | StreamRefused
-    return [_use(d.message) for d in peer.collect(wait_ms, beating=False) if isinstance(d.message, kinds)]

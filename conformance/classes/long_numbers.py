@@ -1,18 +1,16 @@
 """Cases of long numbers: two that differ in any one bit are two, and a clock counts from any start (1.7)."""
 
 from collections.abc import Callable
-from functools import partial
 
-from conformance.case import reference
+from conformance.case import case, stream_case
 from conformance.noted import TABLED
-from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_stream_times import AGE_SIDE_MS, LIMITS_FEED_MS, resting_stream, verdict
+from conformance.reference.arm_stream_times import AGE_SIDE_MS, LIMITS_FEED_MS, resting_stream
 from conformance.reference.framing import stop, used_next
 from conformance.reference.handshake import granted, require_begun
 from conformance.reference.motion import disabled
 from conformance.reference.streaming import NUMBERS
-from conformance.wire import ANSWER_MS, MS, known, require
+from conformance.wire import MS, known, require
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import (
@@ -26,8 +24,6 @@ from protocol.reference_messages import (
     Request,
 )
 
-case = reference.case
-stream_case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
 WORD = 1 << 64
 # Numbers that are drawn one after the other, spread so far that none is next to another's.
 SPREAD = 0x9E3779B97F4A7C15
@@ -135,14 +131,9 @@ def heartbeats(peer: Peer) -> None:
     for begin in range(0, len(times), BURST):
         peer.drain()
         sent_times = times[begin : begin + BURST]
-        for data in [peer.encoded(Heartbeat(own_ns)) for own_ns in sent_times]:
-            peer.send_raw(data)
-        replies: list[int] = []
-        for _ in peer.within(ANSWER_MS):
-            got = [d.message for d in peer.collect(5.0, beating=False)]
-            replies += [m.sent_ns for m in got if isinstance(m, HeartbeatReply)]
-            if len(replies) >= len(sent_times):
-                break
+        peer.send_at_once(map(Heartbeat, sent_times))
+        got = peer.gather(HeartbeatReply, len(sent_times), beating=False)
+        replies = [reply.sent_ns for reply in got]
         require(replies == sent_times, f"of {sent_times} came back {replies}")
 
 
@@ -180,7 +171,7 @@ def clocks(peer: Peer) -> None:
 def streams(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for other in flipped(stream.stream_id):
-        got = known(verdict(stream, here, stream_id=other), f"stream {other:#x} is followed")
+        got = known(stream.verdict(here, stream_id=other), f"stream {other:#x} is followed")
         fields = (got.reason, got.stream_id, got.value, got.limit)
         wanted = (Reason.NOT_STREAMING, other, float(other), float(stream.stream_id))
         require(fields == wanted, f"stream {other:#x}: {got}")
@@ -192,11 +183,11 @@ def stream_numbers(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for bit in range(31):
         stream.number = (stream.number - 1 + (1 << bit)) % NUMBERS
-        require(verdict(stream, here) is None, f"a leap of 2^{bit} is refused")
+        require(stream.verdict(here) is None, f"a leap of 2^{bit} is refused")
         newest = (stream.number - 1) % NUMBERS
         for back in (1 << bit, 0, NUMBERS // 2):
             stream.number = (newest + 1) % NUMBERS
-            got = verdict(stream, here, number=(newest - back) % NUMBERS)
+            got = stream.verdict(here, number=(newest - back) % NUMBERS)
             good = got is not None and got.reason is Reason.OVERTAKEN and got.limit == newest
             require(good, f"{back} behind {newest}: {got}")
         stream.number = (newest + 1) % NUMBERS
@@ -207,14 +198,14 @@ def stream_numbers(peer: Peer) -> None:
 def measured(peer: Peer) -> None:
     peer.shift_ns += FAR_NS - peer.now_ns
     stream, here = resting_stream(peer)
-    old = known(verdict(stream, here, time_ns=peer.now_ns - 2**62), "2^62 ns old, and followed")
+    old = known(stream.verdict(here, time_ns=peer.now_ns - 2**62), "2^62 ns old, and followed")
     require(old.reason is Reason.STALE, f"2^62 ns old, and not STALE: {old}")
     for bit in range(63):
         age_ms = (1 << bit) / MS
         stream.feed(here, LIMITS_FEED_MS)
-        got = verdict(stream, here, time_ns=peer.now_ns - (1 << bit))
+        got = stream.verdict(here, time_ns=peer.now_ns - (1 << bit))
         stale = got is not None and got.reason is Reason.STALE and got.value > old.limit
         near = abs(age_ms - 1e3 * old.limit) < AGE_SIDE_MS
         require(near or stale == (age_ms > 1e3 * old.limit), f"2^{bit} ns old: {got}")
-        got = verdict(stream, here, time_ns=peer.now_ns + (1 << bit))
+        got = stream.verdict(here, time_ns=peer.now_ns + (1 << bit))
         require(got is None, f"2^{bit} ns ahead, which is of age 0 (12.6): {got}")

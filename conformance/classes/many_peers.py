@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import MAJOR, stop
 from conformance.reference.handshake import granted, require_begun, require_none
@@ -12,7 +12,6 @@ from protocol.faults import Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import Bye, Hello, ReferencePath, State, Welcome
 
-case = reference.case
 SOURCES, PERIOD_MS, COUNTED_MS = 6, 40, 400.0
 Way = Callable[[Peer], bytes]
 

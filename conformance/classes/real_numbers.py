@@ -3,9 +3,8 @@
 import math
 import struct
 from collections.abc import Callable, Iterator
-from functools import partial
 
-from conformance.case import reference
+from conformance.case import moving_case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.arm_state_truth import turned
@@ -21,12 +20,10 @@ from protocol.reference_messages import (
     ReferencePath,
     ReferencePose,
     Request,
-    State,
     StreamedPose,
     StreamRefused,
 )
 
-case = partial(reference.case, motion=True)
 PATHS, STREAMING = OptionalPart.PATHS, OptionalPart.STREAMING
 _SIGN, _EXPONENT = 1 << 63, 0x7FF << 52
 # NaN quiet and signalling, infinity, the greatest subnormal and the least, each with both signs.
@@ -65,13 +62,15 @@ def _all_refused(peer: Peer, kind: Kind, make: Callable[[], Request], poses: int
     require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
 
 
-@case(521, "3.7", "what is no number, or subnormal, in any LREAL of a reference: NOT_FINITE, and where")
+@moving_case(
+    521, "3.7", "what is no number, or subnormal, in any LREAL of a reference: NOT_FINITE, and where"
+)
 def in_a_pose(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     _all_refused(peer, Kind.REFERENCE_POSE, lambda: ReferencePose(peer.new_id(), here, 0.0), 1)
 
 
-@case(440, "3.7", "the same of a path, in any of its waypoints; unused ones are ignored", needs=PATHS)
+@moving_case(440, "3.7", "the same of a path, in any of its waypoints; unused ones are ignored", needs=PATHS)
 def in_a_path(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     count = MAX_WAYPOINTS
@@ -93,16 +92,10 @@ def _streamed(stream: Stream, here: Pose, offset: int, bits: int) -> StreamRefus
     data = peer.encoded(StreamedPose(stream.stream_id, number, peer.now_ns, here))
     stream.number += 1
     peer.send_raw(peer.with_number(data, offset, "Q", bits))
-    for datagram in peer.collect(2 * LIMITS_FEED_MS):
-        message = datagram.message
-        if isinstance(message, StreamRefused) and message.number == number:
-            return message
-        if isinstance(message, State) and message.stream_number == number:
-            return None
-    return _streamed(stream, here, offset, bits)
+    return stream.verdict_on(number)
 
 
-@case(546, "12.4", "the same of a streamed reference, in its twist too", needs=STREAMING)
+@moving_case(546, "12.4", "the same of a streamed reference, in its twist too", needs=STREAMING)
 def in_a_stream(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for _, place, offset in reals(Kind.STREAMED_POSE):
@@ -110,7 +103,7 @@ def in_a_stream(peer: Peer) -> None:
             got = _streamed(stream, here, offset, bits)
             good = got is not None and got[2:] == (Reason.NOT_FINITE, 0.0, 1.0)
             require(good, f"{bits:#018x} as number {place}: {got}")
-            stream.feed(here, LIMITS_FEED_MS)
+            stream.feed(here, 3 * LIMITS_FEED_MS)  # so long that it rests at its end
     require(math.dist(peer.state().X_BT_cmd.p_m, here.p_m) < ROUNDED, "the commanded pose moved")
 
 
@@ -123,7 +116,7 @@ def _away(pose: Pose) -> Pose:
     return moved(pose, dx=1e3, dy=1e3, dz=1e3)
 
 
-@case(439, "3.7", "−0, the least normal number and a huge one are numbers: none is NOT_FINITE")
+@moving_case(439, "3.7", "−0, the least normal number and a huge one are numbers: none is NOT_FINITE")
 def sound_numbers(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     far, paths = _away(here), peer.welcome.capabilities & 1
@@ -145,7 +138,7 @@ def sound_numbers(peer: Peer) -> None:
         expect_reason(got, Reason.ACCEPTED, f"times of {times}")
 
 
-@case(597, "12.4", "the same of a streamed reference; a twist of −0 is followed", needs=STREAMING)
+@moving_case(597, "12.4", "the same of a streamed reference; a twist of −0 is followed", needs=STREAMING)
 def sound_in_a_stream(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for index, place, offset in reals(Kind.STREAMED_POSE):
@@ -184,7 +177,7 @@ def require_edge(ask: Ask, reason: Reason, far: float, what: str, slack: float =
     return True
 
 
-@case(561, "6.10", "a motion's time: its bounds to the last bit")
+@moving_case(561, "6.10", "a motion's time: its bounds to the last bit")
 def durations(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     for far in (1e-6, 1e9):
@@ -194,7 +187,7 @@ def durations(peer: Peer) -> None:
         expect_reason(reference_reason(peer, here, negative), Reason.BAD_DURATION, f"{negative:g} s")
 
 
-@case(562, "6.10", "a path's times: their bounds to the last bit", needs=PATHS)
+@moving_case(562, "6.10", "a path's times: their bounds to the last bit", needs=PATHS)
 def path_times(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
 
@@ -208,7 +201,7 @@ def path_times(peer: Peer) -> None:
         require(require_edge(ask, Reason.BAD_DURATION, far, name), f"{name} of {far:g} is not BAD_DURATION")
 
 
-@case(564, "6.10", "the distance of the first pose: its bound, where there is one")
+@moving_case(564, "6.10", "the distance of the first pose: its bound, where there is one")
 def distance(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
 
@@ -219,7 +212,9 @@ def distance(peer: Peer) -> None:
         raise Unsupported("100 m away is not TOO_FAR: this controller has no such limit")
 
 
-@case(565, "6.10", "the workspace: the bounds of its coordinates, as far as a straight way leads there")
+@moving_case(
+    565, "6.10", "the workspace: the bounds of its coordinates, as far as a straight way leads there"
+)
 def workspace(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     found = 0
@@ -239,7 +234,7 @@ def workspace(peer: Peer) -> None:
         raise Unsupported("along no axis of B it is the workspace that ends")
 
 
-@case(566, "6.10", "the range of the last joint: its bound")
+@moving_case(566, "6.10", "the range of the last joint: its bound")
 def joint_limit(peer: Peer) -> None:
     state = standby(peer)
     here, joint = state.X_BT_cmd, state.q_cmd[5]
@@ -259,7 +254,9 @@ def joint_limit(peer: Peer) -> None:
     )
 
 
-@case(441, "1.5", "the norm of a quaternion: beyond 0.001 off 1 it is refused, within it is normalised")
+@moving_case(
+    441, "1.5", "the norm of a quaternion: beyond 0.001 off 1 it is refused, within it is normalised"
+)
 def norms(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     here = scaled(here, 1.0 / here.quaternion_norm())

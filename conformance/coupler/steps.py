@@ -79,13 +79,6 @@ class HangUp(NamedTuple):
 Step = Fresh | Ask | Until | Left | Send | HangUp
 
 
-class Moment(NamedTuple):
-    """When the coupler did something: between these two times of the tester, ms."""
-
-    earliest_ms: float
-    latest_ms: float
-
-
 def names_of(master: Master) -> dict[str, str]:
     """What the coupler says of its image: addresses and lengths as words in hexadecimal."""
     lengths = master.lengths()
@@ -114,7 +107,7 @@ class Play:
     def __init__(self, master: Master) -> None:
         self._master = master
         self._others: dict[str, Master] = {}
-        self._mark = Moment(0.0, 0.0)
+        self._earliest_ms, self._latest_ms = 0.0, 0.0  # of the mark, on the tester's clock
         self._names: dict[str, str] = {}
 
     def run(self, steps: Sequence[Step]) -> None:
@@ -170,7 +163,7 @@ class Play:
         began_ms = _now_ms()
         answer = self._by(step.by).ask(pdu, transaction=step.transaction, unit=step.unit)
         if step.mark:
-            self._mark = Moment(began_ms, _now_ms())
+            self._earliest_ms, self._latest_ms = began_ms, _now_ms()
         pattern = self._pattern(step.answer, pdu)
         require(
             re.fullmatch(pattern, answer.hex()) is not None,
@@ -183,15 +176,15 @@ class Play:
         pdu = self._bytes(step.pdu)
         pattern = self._pattern(step.answer, pdu)
         due_ms = 0.0 if step.at_ms is None else step.at_ms
-        _wait(self._mark.latest_ms + due_ms - _LOOK_BEFORE_MS - _now_ms())
+        _wait(self._latest_ms + due_ms - _LOOK_BEFORE_MS - _now_ms())
         while True:
             request_ms = _now_ms()
             answer = self._by(step.by).ask(pdu)
             if re.fullmatch(pattern, answer.hex()):
-                early_ms = self._mark.earliest_ms + due_ms - _now_ms()
+                early_ms = self._earliest_ms + due_ms - _now_ms()
                 require(early_ms <= EARLY_MS, f"{pdu.hex()}: at least {early_ms:.0f} ms before {due_ms:g} ms")
                 return
-            late_ms = request_ms - self._mark.latest_ms - due_ms
+            late_ms = request_ms - self._latest_ms - due_ms
             why = f"{pdu.hex()}: {answer.hex()}, not {pattern}, {late_ms:.0f} ms after {due_ms:g} ms"
             require(late_ms <= LATE_MS, why)
             _wait(LOOK_EACH_MS)
@@ -200,8 +193,8 @@ class Play:
         _wait(step.wait_ms)
         pdu, before_ms = self._bytes(step.pdu), _now_ms()
         left_ms = int.from_bytes(self._by("a").done(pdu, "the time left")[2:], "big")
-        least = step.time_ms - (_now_ms() - self._mark.earliest_ms) - 1.0  # whole milliseconds
-        most = max(min(step.time_ms - (before_ms - self._mark.latest_ms) + 1.0, step.time_ms), 0.0)
+        least = step.time_ms - (_now_ms() - self._earliest_ms) - 1.0  # whole milliseconds
+        most = max(min(step.time_ms - (before_ms - self._latest_ms) + 1.0, step.time_ms), 0.0)
         require(least <= left_ms <= most, f"{left_ms} ms left, wanted {least:.1f} to {most:.1f}")
 
     def _send(self, step: Send) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import Peer
 from conformance.reference.framing import stop
 from conformance.reference.motion import (
@@ -20,7 +20,6 @@ from protocol.reference_messages import (
     State,
 )
 
-case = reference.case
 COUNT = HEADER_BYTES + 8
 WAITING = 64
 
@@ -103,13 +102,8 @@ def any_other_content(peer: Peer) -> None:
 def sixty_four_wait(peer: Peer) -> None:
     disabled(peer)
     requests = [Command(peer.new_id(), CommandCode.EMERGENCY_RELEASE) for _ in range(WAITING)]
-    for data in [peer.encoded(request) for request in requests]:
-        peer.send_raw(data)
-    answers: list[Acknowledgement] = []
-    for _ in range(20):
-        answers += peer.answers("64 requests")
-        if len(answers) >= WAITING:
-            break
+    peer.send_at_once(requests)
+    answers = peer.gather(Acknowledgement, WAITING, 2000, after_ms=peer.grace_ms)
     reasons = {answer.reason for answer in answers}
     require(len(answers) == WAITING, f"{len(answers)} answers")
     require(reasons == {Reason.ALREADY_DONE}, f"answered {sorted(reason.name for reason in reasons)}")

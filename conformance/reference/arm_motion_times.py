@@ -7,10 +7,10 @@ and ramps down in 0.3 s goes on by 3.7 mm, and what stops at once by nothing.
 import math
 from itertools import pairwise
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned, watched
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import (
     CENTRED,
@@ -27,7 +27,6 @@ from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, Acknowledgement, ReferencePath, ReferencePose
 
-case = reference.case
 # What a busy machine adds to the time of a motion.
 LATE_MS = 30.0
 # The least way of a ramp from the middle of the motion, and the furthest from one STATE to the next.
@@ -39,8 +38,7 @@ UNDER_WAY_MS = 600.0
 def until_done(watch: StateWatch, request: ReferencePose | ReferencePath) -> list[Watched]:
     """The STATEs of an accepted motion, from the first that names it to the first that calls it done."""
     wanted_id = accepted(watch.peer, request)
-    seen = watch.during(30_000.0, until=lambda s: s.motion_done and s.motion_id == wanted_id)
-    require(seen[-1].state.motion_done, "it is not done")
+    seen = watch.until(lambda s: s.motion_done and s.motion_id == wanted_id, 30_000.0, "it is not done")
     return [each for each in seen if each.state.motion_id == wanted_id]
 
 
@@ -68,8 +66,7 @@ def _took_ms(seen: list[Watched]) -> float:
     needs=OptionalPart.PATHS,
 )
 def path_times(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     middle = moved(scene.here, dz=0.015)
     seen = until_done(watch, ReferencePath(peer.new_id(), (middle, scene.here), 0.8, 0.4))
     at_rest = [each for each in seen if math.dist(each.state.X_BT_cmd.p_m, middle.p_m) < AT_M]
@@ -91,8 +88,7 @@ def path_times(peer: Peer) -> None:
 
 @case(558, "6.7", "duration_s is the time of the motion", motion=True)
 def takes_its_time(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     for goal, seconds in ((scene.goal, 0.8), (scene.here, 1.2)):
         took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), goal, seconds)))
         slack = LATE_MS + watch.period_ms
@@ -104,8 +100,7 @@ def takes_its_time(peer: Peer) -> None:
 
 @case(559, "6.7", "duration_s of 0 is the shortest time that would have been accepted", motion=True)
 def shortest(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), scene.goal, 0.0)))
     # The way back is as long; a controller that calls a motion done when the arm has settled adds its lag.
     shorter = reference_reason(peer, scene.here, 0.6 * took * 1e-3)
@@ -117,8 +112,7 @@ def shortest(peer: Peer) -> None:
 
 @case(560, "6.9", "a new reference replaces the one being followed, without a step of the speed", motion=True)
 def replaces(peer: Peer) -> None:
-    scene = entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.MOVING)
     before = watch.during(UNDER_WAY_MS)
     seen = until_done(watch, ReferencePose(peer.new_id(), scene.here, 1.5))
     require_near(seen[-1].state.X_BT_cmd, scene.here, 1e-6, "it ends from where it was sent")
@@ -129,28 +123,26 @@ def replaces(peer: Peer) -> None:
 
 @case(568, "6.9", "a reference that is refused leaves the motion that is followed as it is", motion=True)
 def refused_in_motion(peer: Peer) -> None:
-    scene = entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.MOVING)
     motion_id = peer.state().motion_id
     seen = watch.during(100.0)
     nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
     for bad in (nan, moved(scene.here, dz=50.0)):
         require(reference_reason(peer, bad, 0.0).reason is not Reason.ACCEPTED, f"{bad.p_m} was accepted")
-    seen += watch.during(3000.0, until=lambda state: state.motion_done)
+    why = "the motion was not driven to its end"
+    seen += watch.until(lambda state: state.motion_done and state.motion_id == motion_id, 3000.0, why)
     last = seen[-1].state
-    require(last.motion_done and last.motion_id == motion_id, "the motion was not driven to its end")
     require(math.dist(last.X_BT_cmd.p_m, scene.goal.p_m) < 1e-6, "it ends somewhere else")
     require_no_jump(seen, "refused references")
 
 
 def _ramp_states(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
     """The STATEs from a stop in the middle of a motion to its end; the first is of before."""
-    scene = entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.MOVING)
     seen = watch.during(UNDER_WAY_MS)[-1:]
     require_reason(peer, code, Reason.ACCEPTED, "MOVING")
-    seen += watch.during(3000.0, until=lambda state: state.group_state is end)
-    require(seen[-1].state.group_state is end, f"{code.name} does not lead to {end.name}")
+    what = f"{code.name} does not lead to {end.name}"
+    seen += watch.until(lambda state: state.group_state is end, 3000.0, what)
     driven = [each for each in seen if each.state.group_state is not GroupState.DISABLED]
     require(height(driven[-1]) - height(seen[0]) > RAMP_M, f"{code.name} stops the arm with a step")
     require_no_jump(driven, code.name)
@@ -175,8 +167,7 @@ def stop_is_smooth(peer: Peer) -> None:
     571, "7.4", "EMERGENCY_STOP in motion: no valve is driven from the scan on that latches it", motion=True
 )
 def centred_at_once(peer: Peer) -> None:
-    entered(peer, Mode.MOVING)
-    watch = StateWatch(peer)
+    _, watch = watched(peer, Mode.MOVING)
     watch.during(UNDER_WAY_MS / 2.0)
     sent_ns = peer.now_ns
     require_reason(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
@@ -194,11 +185,6 @@ def centred_at_once(peer: Peer) -> None:
 
 SIDE = 0.01
 TRIES = 12
-
-
-def _require(got: Acknowledgement, reason: Reason, limit: float, what: str) -> None:
-    expect_reason(got, reason, what)
-    require(abs(got.limit - limit) < 1e-9, f"{what}: limit {got.limit:g}, before it was {limit:g}")
 
 
 @case(563, "6.9", "a time that is too short for the way: both sides of what is TOO_FAST", motion=True)

@@ -6,9 +6,9 @@ from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import Peer
-from conformance.reference.arm_transitions import entered, is_ramping
+from conformance.reference.arm_transitions import ReachedMode, entered, is_ramping
 from conformance.reference.motion import (
     CENTRED,
     accepted,
@@ -78,23 +78,29 @@ class StateWatch:
                 break
         return seen if seen or wait_ms < _RAREST_MS else [self.next()]
 
+    def until(self, wanted: Callable[[State], bool], wait_ms: float, why: str) -> list[Watched]:
+        """The STATEs until one, the last, is ``wanted``. Raises Failed with ``why`` after ``wait_ms``."""
+        seen = self.during(wait_ms, until=wanted)
+        require(wanted(seen[-1].state), why)
+        return seen
 
-def turned(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
-    """``pose`` turned by ``angle`` (rad) about an axis of its own T, by default the last joint's."""
+
+def watched(peer: Peer, mode: Mode) -> tuple[ReachedMode, StateWatch]:
+    """A mode that was reached, as ``entered``, and a watch that was made in it."""
+    return entered(peer, mode), StateWatch(peer)
+
+
+Axis = tuple[float, float, float]
+
+
+def turned(pose: Pose, angle: float, axis: Axis = (0.0, 0.0, 1.0), *, in_base: bool = False) -> Pose:
+    """``pose`` turned by ``angle`` (rad) about an axis of its own T, by default the last joint's, or of B."""
     s = math.sin(angle / 2.0)
-    return pose._replace(q_wxyz=_product(pose.q_wxyz, (math.cos(angle / 2.0), *(s * c for c in axis))))
+    turn = (math.cos(angle / 2.0), *(s * c for c in axis))
+    return pose._replace(q_wxyz=_product(turn, pose.q_wxyz) if in_base else _product(pose.q_wxyz, turn))
 
 
-def turned_in_base(pose: Pose, angle: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Pose:
-    """``pose`` turned by ``angle`` (rad) about an axis of B."""
-    s = math.sin(angle / 2.0)
-    return pose._replace(q_wxyz=_product((math.cos(angle / 2.0), *(s * c for c in axis)), pose.q_wxyz))
-
-
-Quaternion = tuple[float, float, float, float]
-
-
-def _product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
+def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
     w, x, y, z = a
     p, q, r, s = b
     return (
@@ -105,7 +111,6 @@ def _product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
     )
 
 
-case = reference.case
 # What a busy machine adds to the age of a STATE; half of them are younger than with the smaller one.
 LATE_MS, OFTEN_LATE_MS = 30.0, 3.0
 # Of what follows the measurement in the same scan: two digits of an encoder, and a rounding.
@@ -195,15 +200,14 @@ def _drive_to(watch: StateWatch, goal: Pose, seconds: float) -> tuple[int, list[
     peer = watch.peer
     motion_id = accepted(peer, ReferencePose(peer.new_id(), goal, seconds))
     peer.drain()
-    seen = watch.during(seconds * 1e3 + SETTLES_MS, until=lambda state: state.motion_done)
-    require(seen[-1].state.motion_done, "it is not done")
-    return motion_id, seen
+    return motion_id, watch.until(
+        lambda state: state.motion_done, seconds * 1e3 + SETTLES_MS, "it is not done"
+    )
 
 
 @case(516, "7.8", "motion_done is 0 until the motion has ended, then 1; a refusal leaves it", motion=True)
 def done_at_its_end(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     motion_id, seen = _drive_to(watch, scene.goal, 0.8)
     for each in seen[:-1]:
         require(each.state.motion_id == motion_id, "motion_id is not the motion's")
@@ -222,8 +226,9 @@ def done_at_its_end(peer: Peer) -> None:
 @case(517, "7.8", "a motion that was stopped is not done, and SETTLED says that the arm rests", motion=True)
 def stopped_is_not_done(peer: Peer) -> None:
     entered(peer, Mode.STOPPING)
-    seen = StateWatch(peer).during(SETTLES_MS, until=lambda state: bool(state.flags & FLAG_SETTLED))
-    require(bool(seen[-1].state.flags & FLAG_SETTLED), "it does not settle after STOP")
+    seen = StateWatch(peer).until(
+        lambda state: bool(state.flags & FLAG_SETTLED), SETTLES_MS, "it does not settle after STOP"
+    )
     require(not any(each.state.motion_done for each in seen), "done although it was stopped")
     require_reason(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
     require(not peer.state().flags & FLAG_SETTLED, "SETTLED although it is disabled")
@@ -236,8 +241,7 @@ def _leads(ahead: Sequence[float]) -> bool:
 
 @case(518, "7.7", "in motion the measurement follows the command, and the valves drive it", motion=True)
 def measured_follows(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     begin = peer.state()
     _, seen = _drive_to(watch, scene.goal, 1.2)
     states = [each.state for each in (*seen, *watch.during(300.0))]

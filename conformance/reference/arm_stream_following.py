@@ -7,10 +7,9 @@ import math
 from functools import partial
 from typing import NamedTuple
 
-from conformance.case import reference
-from conformance.parts import OptionalPart
+from conformance.case import stream_case
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned_in_base
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned, watched
 from conformance.reference.arm_transitions import entered
 from conformance.reference.motion import angle_between, moved, reach, require_near, require_reason
 from conformance.reference.streaming import NUMBERS, Stream, opened_stream
@@ -20,7 +19,6 @@ from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import FLAG_STREAMING, State, StreamRefused
 
-case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
 Axes = tuple[float, float, float]
 SPEED_M_S = 0.05
 RISING: Axes = (0.0, 0.0, SPEED_M_S)
@@ -63,7 +61,7 @@ class MovingReference(NamedTuple):
         if self.turn == 0.0:
             return there
         x, y, z = (w / self.turn for w in self.turning)
-        return turned_in_base(there, self.turn * seconds, (x, y, z))
+        return turned(there, self.turn * seconds, (x, y, z), in_base=True)
 
     def give(self, stream: Stream, age_ms: float = 0.0) -> None:
         """Sends it, as it was ``age_ms`` ago."""
@@ -84,8 +82,7 @@ class MovingReference(NamedTuple):
 def _begin_stream(
     peer: Peer, velocity: Axes, turning: Axes = AT_REST
 ) -> tuple[Stream, StateWatch, MovingReference]:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     stream = opened_stream(peer)
     peer.passed_over.clear()
     return stream, watch, MovingReference(scene.here, peer.now_ns, velocity, turning)
@@ -102,22 +99,20 @@ def _require_met(seen: list[Watched], target: MovingReference) -> None:
         )
 
 
-def _followed_with_velocity(peer: Peer, velocity: Axes, turning: Axes, age_ms: float) -> None:
+def followed_with_velocity(velocity: Axes, turning: Axes, age_ms: float, peer: Peer) -> None:
     stream, watch, target = _begin_stream(peer, velocity, turning)
     target.feed(stream, watch, MET_MS, age_ms)
     _require_met(target.feed(stream, watch, 300.0, age_ms), target)
     require_reason(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
 
 
-@case(577, "12.7", "a reference that moves is met, and followed with its own velocity")
-def with_its_velocity(peer: Peer) -> None:
-    _followed_with_velocity(peer, RISING, TURNING, 0.0)
-
-
-@case(578, "12.7", "a reference that moves has gone on since the instant that it rests on")
-def since_its_instant(peer: Peer) -> None:
+for _number, _title, _velocity, _turning, _age_ms in (
+    (577, "a reference that moves is met, and followed with its own velocity", RISING, TURNING, 0.0),
     # In every direction another speed: one that is taken for another is off by several millimetres.
-    _followed_with_velocity(peer, (-0.02, 0.04, -0.05), (0.03, -0.03, -0.06), 120.0)
+    (578, "a reference that moves has gone on since the instant that it rests on",
+     (-0.02, 0.04, -0.05), (0.03, -0.03, -0.06), 120.0),
+):  # fmt: skip
+    stream_case(_number, "12.7", _title)(partial(followed_with_velocity, _velocity, _turning, _age_ms))
 
 
 def _furthest(seconds: float) -> float:
@@ -128,10 +123,9 @@ def _furthest(seconds: float) -> float:
     return JERK_M_S3 * rise**3 / 6.0 + at_rise + ACCELERATION_M_S2 * rest**2 / 2.0
 
 
-@case(579, "12.7", "it sets out with bounded acceleration and jerk")
+@stream_case(579, "12.7", "it sets out with bounded acceleration and jerk")
 def sets_out_smoothly(peer: Peer) -> None:
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    scene, watch = watched(peer, Mode.STANDBY)
     stream = opened_stream(peer)
     seen, sent_ns = [], peer.now_ns
     for _ in range(12):
@@ -149,7 +143,9 @@ def sets_out_smoothly(peer: Peer) -> None:
         require(way < most + 1e-6, note)
 
 
-@case(573, "12.8", f"a reference every {GAP_MS:g} ms, or less with a longer cycle, is followed at full pace")
+@stream_case(
+    573, "12.8", f"a reference every {GAP_MS:g} ms, or less with a longer cycle, is followed at full pace"
+)
 def gaps(peer: Peer) -> None:
     stream, watch, target = _begin_stream(peer, RISING)
     gap_ms = min(GAP_MS, 82.0 - 3.0 * peer.welcome.cycle_ns / MS)  # it slows down by its own cycle (12.8)
@@ -163,7 +159,9 @@ def gaps(peer: Peer) -> None:
         _require_met(seen, target)
 
 
-@case(575, "12.8", "after a silence that slowed it down a reference is followed again, soon at full pace")
+@stream_case(
+    575, "12.8", "after a silence that slowed it down a reference is followed again, soon at full pace"
+)
 def recovers(peer: Peer) -> None:
     """How long a silence slows down and does not yet stop is found: its scan sees it up to a cycle later."""
     gap_ms, least_ms, most_ms = LONG_GAP_MS, 0.0, math.inf
@@ -205,10 +203,11 @@ def _mean_speed(seen: list[Watched], sent_ns: int, begin_ms: float, end_ms: floa
     return math.dist(part[0].state.X_BT_cmd.p_m, part[-1].state.X_BT_cmd.p_m) / seconds
 
 
-@case(586, "12.3", "of a burst the newest is followed, the others have no answer; lost ones are not missed")
+@stream_case(
+    586, "12.3", "of a burst the newest is followed, the others have no answer; lost ones are not missed"
+)
 def burst(peer: Peer) -> None:
     scene = entered(peer, Mode.STREAMING)
-    assert scene.stream is not None
     stream = scene.stream
     for lost in (0, 3, 1, 40):
         stream.number = (stream.number + lost) % NUMBERS
@@ -223,7 +222,7 @@ def burst(peer: Peer) -> None:
         require(not answers, f"one of a burst was refused: {answers[:1]}")
 
 
-@case(588, "12.10", "END_STREAM rests where a moving reference was when it was last accepted")
+@stream_case(588, "12.10", "END_STREAM rests where a moving reference was when it was last accepted")
 def ends_at_its_last_place(peer: Peer) -> None:
     stream, watch, target = _begin_stream(peer, (0.0, 0.0, -SPEED_M_S))
     target.feed(stream, watch, 600.0)
@@ -236,10 +235,9 @@ def ends_at_its_last_place(peer: Peer) -> None:
     require_near(state.X_BT_cmd, target.at(last_ns), most_m, "from where the reference was")
 
 
-@case(589, "12.4", "what is refused takes no number, and the one before stays in force")
+@stream_case(589, "12.4", "what is refused takes no number, and the one before stays in force")
 def refused_has_no_effect(peer: Peer) -> None:
     scene = entered(peer, Mode.STREAMING)
-    assert scene.stream is not None
     stream, number = scene.stream, scene.stream.number - 1
     nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
     for bad, reason in ((nan, Reason.NOT_FINITE), (moved(scene.here, dz=100.0), Reason.TOO_FAR)):

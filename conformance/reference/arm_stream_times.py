@@ -9,20 +9,18 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from conformance.case import reference
-from conformance.parts import OptionalPart
+from conformance.case import stream_case
 from conformance.peer import Peer
-from conformance.reference.arm_state_truth import StateWatch, Watched, turned
+from conformance.reference.arm_state_truth import StateWatch, Watched, turned, watched
 from conformance.reference.arm_transitions import entered
-from conformance.reference.motion import moved, reach, require_reason, scaled
+from conformance.reference.motion import moved, reach, require_near, require_reason, require_shown, scaled
 from conformance.reference.streaming import BOTH, NUMBERS, SILENCE_MS, Stream, opened_stream
-from conformance.wire import MS, Failed, known, require
+from conformance.wire import MS, known, require
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import FLAG_STREAMING, State, StreamRefused
 
-case = partial(reference.case, motion=True, needs=OptionalPart.STREAMING)
 FIRST_REFERENCE_MS, RAMP_MS = 1000.0, 12.0
 # What a busy machine adds: a scan of 5 ms. The controller's own figures leave 7 ms more to the 100 of 12.8.
 LATE_MS = 5.0
@@ -31,19 +29,11 @@ FEED_MS = 10.0
 
 def followed(peer: Peer, metres: float = 0.02) -> tuple[Stream, StateWatch, Pose]:
     """A stream that is on its way up by ``metres``, a watch, and the pose that it is sent to."""
-    scene = entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)  # before the stream: its echoes take longer than a silence may
+    scene, watch = watched(peer, Mode.STANDBY)  # before the stream: its echoes take longer than a silence may
     stream = opened_stream(peer)
     goal = moved(scene.here, dz=metres)
     stream.feed(goal, 150.0)
     return stream, watch, goal
-
-
-def given(stream: Stream, pose: Pose) -> int:
-    """When the next reference was sent (ns)."""
-    sent_ns = stream.peer.now_ns
-    stream.give(pose)
-    return sent_ns
 
 
 def _is_over(state: State) -> bool:
@@ -52,18 +42,16 @@ def _is_over(state: State) -> bool:
 
 def _until_over(watch: StateWatch, sent_ns: int, most_ms: float) -> list[tuple[float, Watched]]:
     """STATEs until silence has stopped the arm, with the ms since ``sent_ns``."""
-    seen = [((each.scan_ns - sent_ns) / MS, each) for each in watch.during(most_ms, until=_is_over)]
-    last = seen[-1][1].state
-    require(_is_over(last), f"the arm was not stopped within {most_ms:g} ms of silence")
-    require(last.fault is FaultCode.REFERENCE_STALE, f"fault {last.fault.name}")
-    return seen
+    seen = watch.until(_is_over, most_ms, f"the arm was not stopped within {most_ms:g} ms of silence")
+    require_shown(seen[-1].state, "after silence", fault=FaultCode.REFERENCE_STALE)
+    return [((each.scan_ns - sent_ns) / MS, each) for each in seen]
 
 
-@case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
+@stream_case(572, "12.8", "silence: slowed down, then valves centred within 100 ms of the last reference")
 def silence_stops(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
     cycle_ms = peer.welcome.cycle_ns / MS
-    sent_ns = given(stream, goal)
+    sent_ns = stream.give(goal)
     seen = _until_over(watch, sent_ns, 2000.0)
     after, last = seen[-1]
     require(not last.state.flags & FLAG_STREAMING, "the flag STREAMING is still set")
@@ -92,10 +80,9 @@ def _require_ramp(seen: list[tuple[float, Watched]], begins_ms: float, cycle_ms:
         require(within[-1] < 0.8 * max(before), "it is not slowed down before its valves are centred")
 
 
-@case(574, "12.8", f"the first reference is waited for, at rest, for {FIRST_REFERENCE_MS:g} ms")
+@stream_case(574, "12.8", f"the first reference is waited for, at rest, for {FIRST_REFERENCE_MS:g} ms")
 def first_reference(peer: Peer) -> None:
-    entered(peer, Mode.STANDBY)
-    watch = StateWatch(peer)
+    _, watch = watched(peer, Mode.STANDBY)
     sent_ns = peer.now_ns
     opened_stream(peer)
     at = peer.state().X_BT_cmd
@@ -106,10 +93,12 @@ def first_reference(peer: Peer) -> None:
     require(abs(after - FIRST_REFERENCE_MS) < 30.0, f"it waited for {after:.0f} ms")
 
 
-@case(576, "12.9", "when the session ends a stream is stopped by its silence, and latches REFERENCE_STALE")
+@stream_case(
+    576, "12.9", "when the session ends a stream is stopped by its silence, and latches REFERENCE_STALE"
+)
 def session_ends(peer: Peer) -> None:
     stream, watch, goal = followed(peer)
-    sent_ns = given(stream, goal)
+    sent_ns = stream.give(goal)
     peer.collect(FEED_MS)
     peer.reopen(capabilities=BOTH, period_ms=0)
     seen = _until_over(watch, sent_ns, 2000.0)
@@ -118,17 +107,16 @@ def session_ends(peer: Peer) -> None:
     require(len(seen) == 1 or after < late, f"centred only {after:.1f} ms after the last reference")
 
 
-@case(587, "12.10", "END_STREAM before any reference rests where it is, and the motion is done")
+@stream_case(587, "12.10", "END_STREAM before any reference rests where it is, and the motion is done")
 def ends_without_reference(peer: Peer) -> None:
     entered(peer, Mode.STANDBY)
     stream = opened_stream(peer)
     at = peer.state().X_BT_cmd
     require_reason(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
     state = reach(peer, GroupState.STANDBY, "after END_STREAM", 1000)
-    require(math.dist(state.X_BT_cmd.p_m, at.p_m) < 1e-6, "it moved")
-    seen = StateWatch(peer).during(500.0, until=lambda state: state.motion_done)
-    require(seen[-1].state.motion_done, "motion_done does not follow")
-    require(seen[-1].state.motion_id == stream.stream_id, "motion_id is not the stream's")
+    require_near(state.X_BT_cmd, at, 1e-6, "it moved")
+    seen = StateWatch(peer).until(lambda state: state.motion_done, 500.0, "motion_done does not follow")
+    require_shown(seen[-1].state, "after END_STREAM", motion_id=stream.stream_id)
 
 
 DISTANCE_M, TURN_RAD, AGE_MS = 0.5, math.radians(30.0), 250.0
@@ -142,24 +130,9 @@ CLOCKS_MS = 0.5
 
 def resting_stream(peer: Peer) -> tuple[Stream, Pose]:
     """A stream that rests at the pose returned."""
-    scene = entered(peer, Mode.STREAMING)
-    assert scene.stream is not None
-    here = peer.state().X_BT_cmd
-    scene.stream.feed(here, 600.0)
-    return scene.stream, peer.state().X_BT_cmd
-
-
-def verdict(stream: Stream, pose: Pose, **more: Any) -> StreamRefused | None:
-    """The refusal of a reference, or None when it is followed."""
-    peer, number = stream.peer, more.get("number", stream.number)
-    shown_before = number == (stream.number - 1) % NUMBERS
-    stream.give(pose, **more)
-    for _, message in peer.arriving(300):
-        if isinstance(message, StreamRefused) and message.number == number:
-            return message
-        if isinstance(message, State) and message.stream_number == number and not shown_before:
-            return None
-    raise Failed(f"reference {number} is neither followed nor refused")
+    stream = entered(peer, Mode.STREAMING).stream
+    stream.feed(peer.state().X_BT_cmd, 600.0)
+    return stream, peer.state().X_BT_cmd
 
 
 def _require_sides(got: StreamRefused, reason: Reason, sent: float, most: float, what: str) -> float:
@@ -170,7 +143,7 @@ def _require_sides(got: StreamRefused, reason: Reason, sent: float, most: float,
     return got.limit
 
 
-@case(580, "12.4", "a reference that breaks several rules is refused for the first of them")
+@stream_case(580, "12.4", "a reference that breaks several rules is refused for the first of them")
 def order(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     newest = (stream.number - 1) % NUMBERS
@@ -190,41 +163,36 @@ def order(peer: Peer) -> None:
         for _, more in reversed(spoilt[first:]):
             fields |= more
         followed_why = f"what should be {reason.name} is followed"
-        got = known(verdict(stream, fields.pop("X_BT_ref"), **fields), followed_why)
+        got = known(stream.verdict(fields.pop("X_BT_ref"), **fields), followed_why)
         require(got.reason is reason, f"what should be {reason.name} first is {got.reason.name}")
         stream.feed(here, LIMITS_FEED_MS)
         spoilt[1][1]["number"] = (stream.number - 1) % NUMBERS
 
 
-def _require_bound(
-    stream: Stream, here: Pose, there: Callable[[float], Pose], far: float, most: float, what: str
-) -> None:
-    """Both sides of the limit of how far ``there`` may be from the commanded pose."""
-    limit = _require_sides(_refusal_of(stream, there(far)), Reason.TOO_FAR, far, most, what)
-    beyond = limit * (1.0 + SIDE)
-    _require_sides(_refusal_of(stream, there(beyond)), Reason.TOO_FAR, beyond, most, what)
-    inside = verdict(stream, there(limit * (1.0 - SIDE)))
-    require(inside is None or inside.reason is not Reason.TOO_FAR, f"{what} within its limit is TOO_FAR")
-    stream.feed(here, LIMITS_FEED_MS)
-
-
-@case(581, "12.4", "the distance from the commanded pose: both sides of its limit")
-def distance(peer: Peer) -> None:
-    stream, here = resting_stream(peer)
-    _require_bound(stream, here, lambda far: moved(here, dx=-far), 100.0, DISTANCE_M, "a distance")
-
-
 def _refusal_of(stream: Stream, pose: Pose, **more: Any) -> StreamRefused:
-    return known(verdict(stream, pose, **more), "it is followed although it is beyond the limit")
+    return known(stream.verdict(pose, **more), "it is followed although it is beyond the limit")
 
 
-@case(582, "12.4", "the angle from the commanded pose: both sides of its limit")
-def angle(peer: Peer) -> None:
+def bound(what: str, there: Callable[[Pose, float], Pose], far: float, most: float, peer: Peer) -> None:
+    """Both sides of the limit of how far ``there`` may be from the commanded pose."""
     stream, here = resting_stream(peer)
-    _require_bound(stream, here, lambda far: turned(here, far), 2.0, TURN_RAD, "an angle")
+    limit = _require_sides(_refusal_of(stream, there(here, far)), Reason.TOO_FAR, far, most, what)
+    beyond = limit * (1.0 + SIDE)
+    _require_sides(_refusal_of(stream, there(here, beyond)), Reason.TOO_FAR, beyond, most, what)
+    inside = stream.verdict(there(here, limit * (1.0 - SIDE)))
+    require(inside is None or inside.reason is not Reason.TOO_FAR, f"{what} within its limit is TOO_FAR")
 
 
-@case(583, "12.4", "its own speed, each axis: both sides of its limit")
+for _number, _what, _there, _far, _most in (
+    (581, "distance", lambda here, far: moved(here, dx=-far), 100.0, DISTANCE_M),
+    (582, "angle", turned, 2.0, TURN_RAD),
+):
+    stream_case(_number, "12.4", f"the {_what} from the commanded pose: both sides of its limit")(
+        partial(bound, _what, _there, _far, _most)
+    )
+
+
+@stream_case(583, "12.4", "its own speed, each axis: both sides of its limit")
 def speed(peer: Peer) -> None:
     stream, here = resting_stream(peer)
     for axis in range(6):
@@ -238,18 +206,18 @@ def speed(peer: Peer) -> None:
         beyond = limit * (1.0 + 2 * SIDE)
         got = _refusal_of(stream, here, twist_ref=twist(-beyond))
         _require_sides(got, Reason.TOO_FAST, beyond, most, f"axis {axis}, a speed")
-        inside = verdict(stream, here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
+        inside = stream.verdict(here, twist_ref=twist(limit * (1.0 - 2 * SIDE)))
         require(inside is None, f"axis {axis}: refused within its limit: {inside}")
         stream.feed(here, LIMITS_FEED_MS)
 
 
-@case(584, "12.6", "the age of the measurement: both sides of its limit")
+@stream_case(584, "12.6", "the age of the measurement: both sides of its limit")
 def age(peer: Peer) -> None:
     stream, here = resting_stream(peer)
 
     def aged(ms: float) -> StreamRefused | None:
         begin_ns = peer.now_ns
-        got = verdict(stream, here, time_ns=begin_ns - int(ms * MS))
+        got = stream.verdict(here, time_ns=begin_ns - int(ms * MS))
         if got is not None and got.reason is Reason.STALE:
             # It left at this age or later, and was judged before its answer came.
             most_ms = ms + (peer.now_ns - begin_ns) / MS

@@ -4,14 +4,15 @@ Modes that STATE shows alike are told apart by what they answer to a request tha
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.motion import STEP_M, accepted, disabled, enabled, moved, require_reason
 from conformance.reference.streaming import BOTH, Stream, opened_stream
-from conformance.wire import ANSWER_MS, Failed, Unsupported, require
+from conformance.wire import Failed, Unsupported, require
 from protocol.axes_group import ANSWERS, GROUP_STATE, GroupRequest, Mode, Transition
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
@@ -21,7 +22,6 @@ from protocol.reference_messages import (
     FLAG_STREAMING,
     ReferencePose,
     State,
-    StreamRefused,
 )
 
 # The arm is to be well on its way, so that a ramp takes a while: a client's question takes less.
@@ -30,11 +30,11 @@ MOTION_S = 1.5
 
 
 class ReachedMode(NamedTuple):
-    """A mode that was reached: where the arm stood then, where it is sent, and the stream that is open."""
+    """A mode that was reached: where the arm stood, where it is sent, and a stream (open in STREAMING)."""
 
     here: Pose
     goal: Pose
-    stream: Stream | None = None
+    stream: Stream
 
 
 def entered(peer: Peer, mode: Mode) -> ReachedMode:
@@ -45,12 +45,12 @@ def entered(peer: Peer, mode: Mode) -> ReachedMode:
 
 def _here(peer: Peer) -> ReachedMode:
     here = peer.state().X_BT_cmd
-    return ReachedMode(here, moved(here, dz=STEP_M))
+    return ReachedMode(here, moved(here, dz=STEP_M), Stream(peer, peer.new_id()))
 
 
 def _standby(peer: Peer) -> ReachedMode:
-    here = enabled(peer).X_BT_cmd
-    return ReachedMode(here, moved(here, dz=STEP_M))
+    enabled(peer)
+    return _here(peer)
 
 
 def _moving(peer: Peer) -> ReachedMode:
@@ -134,7 +134,6 @@ def is_ramping(state: State) -> bool:
     return state.group_state is GroupState.ERROR_STOP and any(state.valves)
 
 
-case = reference.case
 FIRST = 800
 COLUMNS = tuple(GroupRequest)
 _OF_STREAMS = (GroupRequest.START_STREAM, GroupRequest.END_STREAM, GroupRequest.STREAMED)
@@ -156,25 +155,14 @@ def title_of(mode: Mode, request: GroupRequest) -> str:
     return f"{_TITLES.get(request, request.name)} in {mode.name}: {step.reason.name}{leads}"
 
 
-def answered(peer: Peer, request: GroupRequest, scene: ReachedMode) -> Reason:
+def answered(peer: Peer, mode: Mode, request: GroupRequest, scene: ReachedMode) -> Reason:
     """The reason that answers; for a streamed reference that is followed, ACCEPTED."""
     if request is GroupRequest.STREAMED:
-        return _stream_reason(peer, scene)
+        refused = scene.stream.verdict(scene.goal, shown=mode is Mode.STREAMING)
+        return Reason.ACCEPTED if refused is None else refused.reason
     if request is GroupRequest.MOVE:
         return peer.ask(ReferencePose(peer.new_id(), scene.goal, 3.0), "a reference").reason
     return peer.command(CommandCode(request))
-
-
-def _stream_reason(peer: Peer, scene: ReachedMode) -> Reason:
-    stream = scene.stream or Stream(peer, peer.new_id())
-    number = stream.number
-    stream.give(scene.goal)
-    for _, message in peer.arriving(ANSWER_MS):
-        if isinstance(message, StreamRefused) and message.number == number:
-            return message.reason
-        if isinstance(message, State) and scene.stream is not None and message.stream_number == number:
-            return Reason.ACCEPTED
-    raise Failed("a streamed reference is neither followed nor refused")
 
 
 def ask_cell(peer: Peer, mode: Mode, request: GroupRequest, step: Transition) -> None:
@@ -186,7 +174,7 @@ def ask_cell(peer: Peer, mode: Mode, request: GroupRequest, step: Transition) ->
     if mode is Mode.ERROR_RAMP and not is_ramping(before):
         raise _Over
     what = title_of(mode, request)
-    reason = answered(peer, request, scene)
+    reason = answered(peer, mode, request, scene)
     if request is GroupRequest.ENABLE and step.reason is Reason.ACCEPTED and reason is Reason.PLANT_NOT_READY:
         raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     require(reason is step.reason, f"{what}: answered {reason.name}")
@@ -200,33 +188,24 @@ class _Over(Exception):
     """The ramp was over before it could be asked in."""
 
 
-def _ask_in_a_ramp(peer: Peer, request: GroupRequest, step: Transition) -> None:
-    """As ``ask_cell``, but asked again when the ramp may have ended between the question and the answer."""
+def ask(mode: Mode, request: GroupRequest, step: Transition, peer: Peer) -> None:
+    """As ``ask_cell``; again where an error's ramp may have ended between the question and the answer."""
     last: Exception = Unsupported("an error's ramp is over before a client can ask in it")
-    for _ in range(_TRIES):
+    for _ in range(_TRIES if mode is Mode.ERROR_RAMP else 1):
         try:
-            ask_cell(peer, Mode.ERROR_RAMP, request, step)
+            return ask_cell(peer, mode, request, step)
         except _Over:
             continue
         except Failed as failure:
             last = failure
-        else:
-            return
     raise last
 
 
-def _enter(mode: Mode, request: GroupRequest, step: Transition) -> None:
-    def run(peer: Peer) -> None:
-        if mode is Mode.ERROR_RAMP:
-            _ask_in_a_ramp(peer, request, step)
-        else:
-            ask_cell(peer, mode, request, step)
-
-    motion = mode not in _STILL or step.mode not in _STILL
-    streams = request in _OF_STREAMS or mode is Mode.STREAMING
-    needs = OptionalPart.STREAMING if streams else None
-    case(number_of(mode, request), "7.3", title_of(mode, request), motion=motion, needs=needs)(run)
-
-
-for _cell, _step in ANSWERS.items():
-    _enter(*_cell, _step)
+for (_mode, _request), _step in ANSWERS.items():
+    case(
+        number_of(_mode, _request),
+        "7.3",
+        title_of(_mode, _request),
+        motion=_mode not in _STILL or _step.mode not in _STILL,
+        needs=OptionalPart.STREAMING if _request in _OF_STREAMS or _mode is Mode.STREAMING else None,
+    )(partial(ask, _mode, _request, _step))

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import FLAGS, all_refused, refused, stop, used, used_next
@@ -24,7 +24,7 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = partial(reference.case, needs=OptionalPart.AUTHENTICATION)
+key_case = partial(case, needs=OptionalPart.AUTHENTICATION)
 CRC = range(CRC_OFFSET, CRC_OFFSET + CRC_BYTES)
 OTHER_KEY = LinkKey(b"a key that no controller may have")
 
@@ -73,7 +73,7 @@ for _number, _title, _key, _reason in (
         Reason.BAD_TAG,
     ),
 ):
-    case(_number, "11.2", _title, opens=50)(partial(greeted, _key, _reason, _title))
+    key_case(_number, "11.2", _title, opens=50)(partial(greeted, _key, _reason, _title))
 all_refused(
     (
         (
@@ -125,12 +125,12 @@ all_refused(
             ],
         ),
     ),
-    case,
+    key_case,
 )
 # fmt: on
 
 
-@case(709, "11.7", "an exact replay is not used, neither at once nor behind later datagrams", opens=50)
+@key_case(709, "11.7", "an exact replay is not used, neither at once nor behind later datagrams", opens=50)
 def replayed(peer: Peer) -> None:
     request = stop(peer)
     data = peer.encoded(request)
@@ -141,7 +141,7 @@ def replayed(peer: Peer) -> None:
     refused(peer, [data] * 3, "its replay behind later datagrams")
 
 
-@case(711, "11.7", "numbers have 64 bits: one that is new modulo 2^32 alone is not used")
+@key_case(711, "11.7", "numbers have 64 bits: one that is new modulo 2^32 alone is not used")
 def extended(peer: Peer) -> None:
     peer.open(sequence=SEQUENCES - 4)
     key = peer.keys_of(peer.session).sends
@@ -155,7 +155,9 @@ def extended(peer: Peer) -> None:
     refused(peer, [wrapped], "a number 2^32 behind the next one")
 
 
-@case(713, "11.8", "a datagram that is not under the keys of WELCOME does not begin the session", opens=50)
+@key_case(
+    713, "11.8", "a datagram that is not under the keys of WELCOME does not begin the session", opens=50
+)
 def unsigned_beginning(peer: Peer) -> None:
     in_use = peer.session
     session = granted(peer)
@@ -165,7 +167,7 @@ def unsigned_beginning(peer: Peer) -> None:
     peer.ask(stop(peer), "the session in use, after forged beginnings of another")
 
 
-@case(715, "11.10", "forged datagrams do not keep the session alive", opens=50)
+@key_case(715, "11.10", "forged datagrams do not keep the session alive", opens=50)
 def forged_is_not_life(peer: Peer) -> None:
     peer.alive("before the forgeries")
     key = peer.keys_of(peer.session).receives
@@ -176,7 +178,7 @@ def forged_is_not_life(peer: Peer) -> None:
     dies_of_silence(peer, "forged heartbeats", forge)
 
 
-@case(716, "11.10", "forged datagrams move neither the count nor the age", opens=50)
+@key_case(716, "11.10", "forged datagrams move neither the count nor the age", opens=50)
 def forged_moves_nothing(peer: Peer) -> None:
     key = peer.keys_of(peer.session).receives
     for ahead, shift_ms in ((1000, 0), (60_000, 0), (1, 10**7), (2, -1000)):
@@ -186,16 +188,16 @@ def forged_moves_nothing(peer: Peer) -> None:
         used_next(peer, "the next number after a forged one")
 
 
-@case(717, "11.10", "refused datagrams are counted in STATE as dropped, and not as lost", opens=20)
+@key_case(717, "11.10", "refused datagrams are counted in STATE as dropped, and not as lost", opens=20)
 def forged_is_counted(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     for key in (None, peer.keys_of(peer.session).receives, OTHER_KEY.of_hello()):
         peer.send_beside(peer, partial(signed, peer, stop(peer), key))
     peer.alive("after three forgeries")
     peer.require_counted(before, "3 forgeries", lost=0, dropped=3)
 
 
-@case(718, "11.9", "every datagram of the controller in the session is signed, to the last BYE")
+@key_case(718, "11.9", "every datagram of the controller in the session is signed, to the last BYE")
 def all_signed(peer: Peer) -> None:
     timeout_ms = peer.open(period_ms=0).link_timeout_ms
     peer.ask(stop(peer), "a request")
@@ -205,23 +207,25 @@ def all_signed(peer: Peer) -> None:
     peer.session = 0
 
 
-@case(719, "11.9", "BYE that is not signed does not end the session", opens=50)
+@key_case(719, "11.9", "BYE that is not signed does not end the session", opens=50)
 def unsigned_bye(peer: Peer) -> None:
     for key in (None, peer.hello_key, peer.keys_of(peer.session).receives):
         peer.send_beside(peer, partial(signed, peer, Bye(Reason.SHUTDOWN), key))
         peer.alive("after a BYE that is not the client's")
 
 
-@case(721, "11.7", "a late datagram is no replay: it is not used, and taken off the losses once", opens=20)
+@key_case(
+    721, "11.7", "a late datagram is no replay: it is not used, and taken off the losses once", opens=20
+)
 def late_is_no_replay(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     held = [peer.encoded(stop(peer)) for _ in range(3)]
     peer.alive("after a gap of 3")
     refused(peer, [held[1]] * 3, "a late datagram")
     peer.require_counted(before, "one of 3 came late, its replays do not count", lost=2)
 
 
-@reference.case(
+@case(
     722,
     "11.2",
     "a controller without a key refuses a signed HELLO with KEY_NOT_CONFIGURED",

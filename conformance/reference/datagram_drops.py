@@ -1,9 +1,10 @@
 """Cases 240…, 248…: what is dropped has no effect, whatever its kind and the cause (clauses 3.5 and 5.4)."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import chain, cycle
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.authentication import OTHER_KEY, signed
 from conformance.reference.datagram_refusals import MAGIC_BIT
@@ -29,14 +30,13 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 # The time in a heartbeat that shall not be answered.
 MARK = 7
 # Numbers left out, so that they can come late: fewer than the 64 within which late is told from old.
 GAP = 60
 
 
-def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], bytes]]]:
+def dropped(peer: Peer, other: Peer) -> list[tuple[str, Peer, Callable[[], bytes]]]:
     """Every way for a heartbeat to be dropped before its number counts: why, from where, and its bytes."""
 
     def beat(**header: int) -> bytes:
@@ -45,32 +45,31 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     def raw(offset: int, code: str, value: int) -> bytes:
         return peer.with_number(beat(), offset, code, value)
 
-    yield "of session 0", peer, lambda: beat(session=0)
-    yield "of another session", peer, lambda: beat(session=peer.session ^ 1 << 40)
-    yield "from another port", other, beat
-    yield "of another minor version", peer, lambda: beat(minor=peer.minor + 1)
-    yield "of another major version", peer, lambda: raw(MAJOR, "B", 9)
-    yield "with a critical flag", peer, lambda: raw(FLAGS, "H", 1 << 15 | flags_of(beat()))
-    yield "of an unknown kind", peer, lambda: raw(KIND, "B", 200)
-    yield "with a wrong CRC", peer, lambda: with_bit_flipped(beat(), 8 * HEADER_BYTES)
-    yield "with a wrong magic", peer, lambda: peer.resealed(with_bit_flipped(beat(), MAGIC_BIT))
-    yield "that is a byte longer than it says", peer, lambda: resealed(beat() + b"\0")
-    yield "that is too long", peer, lambda: resealed(beat().ljust(MAX_DATAGRAM_BYTES + 1, b"\0"))
-    yield "of another kind's length", peer, lambda: peer.with_payload_of(beat(), 16)
-    yield (
-        "signed otherwise than the session",
-        peer,
-        lambda: signed(peer, Heartbeat(1), None if peer.link_key else OTHER_KEY.of_hello()),
-    )
-    yield "signed with another key", peer, lambda: signed(peer, Heartbeat(1), OTHER_KEY.of_hello())
-    yield "that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]
-    yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
-    yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
     hello = Hello(peer.nonce(), 1 | peer.required, 0, 50)
     another_arm = hello._replace(arm_hash=peer.welcome.arm_hash ^ 1 or 2)
-    yield "that is HELLO for another arm", peer, lambda: peer.encoded(another_arm, session=0)
-    yield "that is HELLO from another port", other, lambda: peer.encoded(hello, session=0)
-    yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
+    return [
+        ("of session 0", peer, lambda: beat(session=0)),
+        ("of another session", peer, lambda: beat(session=peer.session ^ 1 << 40)),
+        ("from another port", other, beat),
+        ("of another minor version", peer, lambda: beat(minor=peer.minor + 1)),
+        ("of another major version", peer, lambda: raw(MAJOR, "B", 9)),
+        ("with a critical flag", peer, lambda: raw(FLAGS, "H", 1 << 15 | flags_of(beat()))),
+        ("of an unknown kind", peer, lambda: raw(KIND, "B", 200)),
+        ("with a wrong CRC", peer, lambda: with_bit_flipped(beat(), 8 * HEADER_BYTES)),
+        ("with a wrong magic", peer, lambda: peer.resealed(with_bit_flipped(beat(), MAGIC_BIT))),
+        ("that is a byte longer than it says", peer, lambda: resealed(beat() + b"\0")),
+        ("that is too long", peer, lambda: resealed(beat().ljust(MAX_DATAGRAM_BYTES + 1, b"\0"))),
+        ("of another kind's length", peer, lambda: peer.with_payload_of(beat(), 16)),
+        ("signed otherwise than the session", peer,
+         lambda: signed(peer, Heartbeat(1), None if peer.link_key else OTHER_KEY.of_hello())),
+        ("signed with another key", peer, lambda: signed(peer, Heartbeat(1), OTHER_KEY.of_hello())),
+        ("that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]),
+        ("that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))),
+        ("that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)),
+        ("that is HELLO for another arm", peer, lambda: peer.encoded(another_arm, session=0)),
+        ("that is HELLO from another port", other, lambda: peer.encoded(hello, session=0)),
+        ("that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))),
+    ]  # fmt: skip
 
 
 @case(
@@ -94,7 +93,7 @@ def drops_move_nothing(peer: Peer) -> None:
 @case(241, "5.4", f"what is dropped is no sign of life and has no answer (slack {SLACK_MS} ms)", opens=20)
 def drops_are_not_life(peer: Peer) -> None:
     other = peer.second()
-    ways = cycle([*dropped(peer, other)])
+    ways = cycle(dropped(peer, other))
 
     def send(_waited_ms: float) -> None:
         _, source, data = next(ways)
@@ -219,7 +218,7 @@ def _with_dirty_padding(peer: Peer, data: bytes) -> bytes:
     return data
 
 
-def disordered(peer: Peer, late: int = 3) -> Iterator[tuple[str, Callable[[int], bytes]]]:
+def disordered(peer: Peer, late: int = 3) -> list[tuple[str, Callable[[int], bytes]]]:
     """Heartbeats that come in no order: why, and the bytes for a time of sending.
 
     There is a gap behind, and the number ``late`` behind the newest one is in it.
@@ -229,10 +228,8 @@ def disordered(peer: Peer, late: int = 3) -> Iterator[tuple[str, Callable[[int],
         number = (peer.sequence - behind) % peer.sequences
         return peer.encoded(Heartbeat(MARK), sequence=number, sent_ns=sent_ns)
 
-    yield "that came before", lambda sent_ns: beat(0, sent_ns)
-    yield "that is late", lambda sent_ns: beat(late, sent_ns)
-    yield "that is old", lambda sent_ns: beat(300, sent_ns)
-    yield "that leaps", lambda sent_ns: beat(-70_000, sent_ns)
+    ways = {"came before": 0, "is late": late, "is old": 300, "leaps": -70_000}
+    return [(f"that {what}", partial(beat, behind)) for what, behind in ways.items()]
 
 
 @case(253, "5.2", f"what comes in no order moves no age, begins nothing, is no life (slack {SLACK_MS} ms)")
@@ -266,7 +263,7 @@ def replayed_beside_a_session(peer: Peer) -> None:
     message = Hello(nonce, 1 | peer.required, 0, 50)
     granted(peer)
     peer.alive("beside a grant")
-    before, ahead = peer.tallies(), peer.sequence + 1000
+    before, ahead = peer.state(), peer.sequence + 1000
     peer.send(message, session=0, sequence=ahead, sent_ns=peer.now_ns + 10_000 * MS)
     peer.alive("beside a grant, after a HELLO of an earlier session")
     peer.require_counted(before, "a HELLO of an earlier session", lost=0, dropped=1)

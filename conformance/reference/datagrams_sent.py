@@ -1,19 +1,18 @@
 """Cases 130… and 891…: what the controller sends, field by field, and what holds of all that comes."""
 
 import itertools
+from functools import partial
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.noted import Always
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.arm_transitions import entered
-from conformance.reference.authentication import OTHER_KEY, signed
-from conformance.reference.authentication import case as key_case
-from conformance.reference.datagram_refusals import require_greeted
+from conformance.reference.authentication import OTHER_KEY, key_case, signed
+from conformance.reference.datagram_refusals import require_greeted, sessions_of
 from conformance.reference.framing import MAJOR, refused, stop
 from conformance.reference.handshake import granted, require_begun
 from conformance.reference.order import WINDOW, require_window
-from conformance.reference.streaming import Stream
 from conformance.wire import ANSWER_MS, MS, known, require, resealed, with_bit_flipped
 from protocol.authentication import DirectionKey
 from protocol.axes_group import Mode
@@ -29,13 +28,11 @@ from protocol.reference_messages import (
     Heartbeat,
     HeartbeatReply,
     Hello,
-    Message,
     ReferencePose,
     State,
     Welcome,
 )
 
-case = reference.case
 SESSIONS = 8
 # Two of a few dozen sound session numbers are nearer to one another once in 10^8 runs.
 LEAST_BITS = 8
@@ -77,21 +74,13 @@ def last_word(peer: Peer) -> None:
 
 @case(135, "4.2", "what WELCOME says of the controller is the same in every session")
 def same_controller(peer: Peer) -> None:
-    seen = []
-    for _ in range(3):
-        welcome = peer.open()
-        seen.append(welcome._replace(client_nonce=0))
-        peer.leave()
+    seen = [welcome._replace(client_nonce=0) for welcome in sessions_of(peer, 3)]
     require(len(set(seen)) == 1, f"{seen[0]}, then {seen[-1]}")
 
 
 @case(137, "4.2", f"the numbers of {SESSIONS} sessions cannot be told from one another")
 def unguessable(peer: Peer) -> None:
-    numbers = []
-    for _ in range(SESSIONS):
-        peer.open()
-        numbers.append(peer.session)
-        peer.leave()
+    numbers = [peer.session for _ in sessions_of(peer, SESSIONS)]
     for a, b in itertools.combinations(numbers, 2):
         differ = (a ^ b).bit_count()
         require(differ >= LEAST_BITS, f"sessions {a:016x} and {b:016x} differ in {differ} bits")
@@ -113,8 +102,7 @@ def one_clock(peer: Peer) -> None:
         least[what] = min(transit_ns, least.get(what, transit_ns))
 
     for _ in range(40):
-        now_ns = read_ns = peer.now_ns
-        peer.send(Heartbeat(now_ns), sent_ns=now_ns)
+        now_ns = read_ns = peer.heartbeat()
         while read_ns < now_ns + 15 * MS and (datagram := peer.receive(10, beating=False)) is not None:
             read_ns, sent_ns = peer.now_ns, datagram.header.sent_ns
             note(f"the header of {type(datagram.message).__name__}", read_ns - sent_ns)
@@ -153,8 +141,7 @@ def wrong_key_id(peer: Peer) -> None:
     data = peer.encoded(Hello(peer.nonce(), peer.required | 1, 0, 50), session=0)
     flipped = with_bit_flipped(data, 8 * (len(data) - TRAILER_BYTES + 4) + 31)
     peer.send_raw(peer.resealed(flipped))
-    unknown: list[Message] = [Bye(Reason.UNKNOWN_KEY)]
-    peer.require_came(unknown, 100, "HELLO with another key_id", of=Bye | Welcome)
+    peer.require_came([Bye(Reason.UNKNOWN_KEY)], 100, "HELLO with another key_id", of=Bye | Welcome)
 
 
 @key_case(
@@ -167,9 +154,6 @@ def key_before_all_else(peer: Peer) -> None:
     other = peer.second()
     session_key = peer.keys_of(peer.session).sends
 
-    def answers(what: str, source: Peer, data: bytes, wanted: list[Message]) -> None:
-        require_greeted(peer, what, source, data, wanted)
-
     def hello(key: DirectionKey | None, arm_hash: int = 0, session: int = 0, number: int = 0) -> bytes:
         message = Hello(number or peer.nonce(), peer.required | 1, arm_hash, 50)
         return signed(peer, message, key, session=session)
@@ -179,13 +163,15 @@ def key_before_all_else(peer: Peer) -> None:
         (OTHER_KEY.of_hello(), Reason.UNKNOWN_KEY),
         (session_key, Reason.BAD_TAG),
     ):
-        byes: list[Message] = [Bye(reason)]
-        answers(f"{reason.name}, in a session", peer, hello(key, session=peer.session), byes)
-        answers(f"{reason.name}, replayed", peer, hello(key, number=nonce), byes)
-        answers(f"{reason.name}, another arm", peer, hello(key, wrong), byes)
-        answers(f"{reason.name}, another source", other, hello(key), byes)
+        for what, source, how in (
+            ("in a session", peer, {"session": peer.session}),
+            ("replayed", peer, {"number": nonce}),
+            ("another arm", peer, {"arm_hash": wrong}),
+            ("another source", other, {}),
+        ):
+            require_greeted(peer, f"{reason.name}, {what}", source, hello(key, **how), [Bye(reason)])
     formless = peer.with_number(hello(None), HEADER_BYTES, "Q", 0)
-    answers("a nonce of 0, not signed", peer, resealed(formless[: HEADER_BYTES + 32]), [])
+    require_greeted(peer, "a nonce of 0, not signed", peer, resealed(formless[: HEADER_BYTES + 32]), [])
     peer.alive("after these")
 
 
@@ -195,7 +181,7 @@ def key_before_all_else(peer: Peer) -> None:
 def nothing_moves(peer: Peer) -> None:
     peer.alive("before")
     replay = peer.send(Heartbeat(1))
-    counted = peer.tallies()
+    counted = peer.state()
     keys = (None, peer.hello_key, OTHER_KEY.of_hello(), peer.keys_of(peer.session).receives)
     for n, key in enumerate(keys):
         before = peer.sequence
@@ -211,7 +197,7 @@ def nothing_moves(peer: Peer) -> None:
     727, "11.7", "HELLO's number is the client's first: what is skipped behind it counts as lost", opens=20
 )
 def first_number_of_a_session(peer: Peer) -> None:
-    before = peer.tallies()
+    before = peer.state()
     peer.leave()
     peer.sequence = 2**40 + 7
     session = granted(peer, period_ms=20)
@@ -261,7 +247,7 @@ def tour(peer: Peer, modes: tuple[Mode, ...]) -> None:
     for mode in modes:
         scene = entered(peer, mode)
         again = Hello(peer.welcome.client_nonce, 3 | peer.required, 0, 0)
-        (scene.stream or Stream(peer, peer.new_id())).give(scene.here)
+        scene.stream.give(scene.here)
         peer.send(again, session=0)
         unknown = peer.encoded(stop(peer))
         peer.send_raw(peer.with_number(unknown, 48, "I", 99))
@@ -277,19 +263,16 @@ def tour(peer: Peer, modes: tuple[Mode, ...]) -> None:
         peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE")
 
 
-def _enter(number: int, always: Always) -> None:
-    def run(peer: Peer) -> None:
-        if not peer.noted.toured:
-            tour(peer, AT_REST)
-            peer.noted.toured = True
-        require(always not in peer.noted.breaches, peer.noted.breaches.get(always, ""))
-
-    clause, says = always.value
-    case(number, clause, f"in all that comes {says}")(run)
+def never_breached(always: Always, peer: Peer) -> None:
+    if not peer.noted.toured:
+        tour(peer, AT_REST)
+        peer.noted.toured = True
+    require(always not in peer.noted.breaches, peer.noted.breaches.get(always, ""))
 
 
 for _number, _always in enumerate(Always, 891):
-    _enter(_number, _always)
+    _clause, _says = _always.value
+    case(_number, _clause, f"in all that comes {_says}")(partial(never_breached, _always))
 
 
 @case(899, "7.7", "and the same in every mode", motion=True, needs=OptionalPart.STREAMING)

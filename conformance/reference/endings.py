@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import Peer
 from conformance.reference.handshake import granted
 from conformance.reference.motion import (
@@ -26,14 +26,12 @@ from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     Acknowledgement,
     Command,
-    Heartbeat,
     Message,
     ReferencePose,
     Request,
     State,
 )
 
-case = reference.case
 # From the end of a session in motion to centred valves: more than any ramp.
 RAMPED_MS = 3000
 
@@ -57,18 +55,14 @@ def require_dropped(peer: Peer, after: str) -> None:
     require_reason(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, f"after {after}")
 
 
-def _silence(peer: Peer) -> None:
-    peer.collect(peer.timeout_ms + 1500, beating=False)
-
-
-def _end_in_motion(end: Callable[[Peer], None], after: str, peer: Peer) -> None:
+def _end_in_motion(end: Callable[[Peer], object], after: str, peer: Peer) -> None:
     moving(peer)
     end(peer)
     come_back(peer, after)
     require_latched(peer, after)
 
 
-def _end_in_standby(end: Callable[[Peer], None], after: str, peer: Peer) -> None:
+def _end_in_standby(end: Callable[[Peer], object], after: str, peer: Peer) -> None:
     standby(peer)
     end(peer)
     peer.open(period_ms=20)
@@ -76,7 +70,7 @@ def _end_in_standby(end: Callable[[Peer], None], after: str, peer: Peer) -> None
 
 
 for _number, _ended, _end, _after, _title in (
-    (529, _end_in_motion, _silence, "a lost link",
+    (529, _end_in_motion, lambda peer: peer.collect(peer.timeout_ms + 1500, beating=False), "a lost link",
      "a lost link in motion stops the arm; nothing resumes by itself"),
     (534, _end_in_motion, Peer.leave, "BYE in motion",
      "BYE in motion stops the arm and latches; the next session finds it so"),
@@ -194,8 +188,7 @@ def bounded(peer: Peer) -> None:
 def behind_heartbeats(peer: Peer) -> None:
     disabled(peer)
     for _ in range(FLOOD):
-        now_ns = peer.now_ns
-        peer.send(Heartbeat(now_ns), sent_ns=now_ns)
+        peer.heartbeat()
     _latched_state(peer, f"{FLOOD} heartbeats")
 
 

@@ -6,7 +6,7 @@ from functools import partial
 from random import Random
 from typing import Any
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.wire import require, with_bit_flipped
@@ -21,7 +21,6 @@ from protocol.reference_messages import (
     Welcome,
 )
 
-case = reference.case
 PATHS = OptionalPart.PATHS
 MAJOR, KIND, FLAGS = 4, 6, 8
 COMMAND_BYTES = 16
@@ -146,6 +145,14 @@ all_refused(
                     struct.pack("<I", _crc(data[:12] + data[16:], 0x82F63B78)),
                     data[12:16][::-1],
                 )
+            ),
+        ),
+        (
+            141,
+            "3.2",
+            "REFERENCE_PATH with a bit flipped in any of its bytes is dropped",
+            lambda peer, _: (
+                with_bit_flipped(path, bit) for path in [a_path(peer)] for bit in range(0, 8 * len(path), 29)
             ),
         ),
         (

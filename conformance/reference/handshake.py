@@ -1,14 +1,13 @@
 """Cases 231…239: a session begins with the client's first datagram in it (clauses 4.2, 4.4, 4.5 and 4.11)."""
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import MAJOR, stop
 from conformance.reference.sessions import SLACK_MS, silent
 from conformance.wire import ANSWER_MS, MS, Failed, require
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement, Bye, Heartbeat, HeartbeatReply, Hello, State, Welcome
+from protocol.reference_messages import Acknowledgement, Bye, HeartbeatReply, Hello, State, Welcome
 
-case = reference.case
 # Answers to one datagram of a stranger: no more bytes than this many times what he sent.
 AMPLIFICATION = 3
 
@@ -26,8 +25,7 @@ def granted(peer: Peer, *, nonce: int | None = None, period_ms: int = 50, capabi
 
 def beaten(peer: Peer, session: int) -> list[object]:
     """What comes in answer to a heartbeat in ``session``, STATE left out."""
-    now_ns = peer.now_ns
-    peer.send(Heartbeat(now_ns), session=session, sent_ns=now_ns)
+    peer.heartbeat(session)
     return [d.message for d in peer.collect(RATION_MS, beating=False) if not isinstance(d.message, State)]
 
 
@@ -181,8 +179,7 @@ def bye_unanswered(peer: Peer) -> None:
 @case(224, "5.4", "silence ends the session: BYE LINK_TIMEOUT, neither early nor late")
 def timeout(peer: Peer) -> None:
     timeout_ms = peer.open().link_timeout_ms
-    last_ns = peer.now_ns
-    peer.send(Heartbeat(last_ns), sent_ns=last_ns)
+    last_ns = peer.heartbeat()
     peer.expect_bye(Reason.LINK_TIMEOUT, "silence", timeout_ms + 1000)
     waited_ms = (peer.now_ns - last_ns) / MS
     require(waited_ms > timeout_ms - 1, f"after {waited_ms:.1f} ms of silence, announced {timeout_ms}")

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from itertools import chain, pairwise
 
-from conformance.case import reference
+from conformance.case import case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.wire import Unsupported, require
@@ -21,7 +21,6 @@ from protocol.reference_messages import (
     State,
 )
 
-case = reference.case
 SETTLE_MS = 5000
 
 

@@ -1,11 +1,10 @@
 """Cases 541…: streamed references (clause 12). Most enable the group, and many move the arm."""
 
 import math
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from conformance.case import reference
+from conformance.case import case, stream_case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.motion import (
@@ -20,7 +19,7 @@ from conformance.reference.motion import (
     require_reason,
     require_shown,
 )
-from conformance.wire import ANSWER_MS, Unsupported, require
+from conformance.wire import ANSWER_MS, Failed, Unsupported, known, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import (
@@ -34,7 +33,6 @@ from protocol.reference_messages import (
     StreamRefused,
 )
 
-case = partial(reference.case, needs=OptionalPart.STREAMING)
 BOTH = CAPABILITY_PATHS | CAPABILITY_STREAMING
 FEED_MS = 10.0  # between references: so often that a busy tester's hiccups are not a silence
 SILENCE_MS = 100.0
@@ -49,11 +47,13 @@ class Stream:
         self.stream_id = stream_id
         self.number = number
 
-    def give(self, pose: Pose, **more: Any) -> None:
-        """Sends the next reference; ``more`` overrides fields of it."""
-        fields = {"stream_id": self.stream_id, "number": self.number, "time_ns": self.peer.now_ns}
+    def give(self, pose: Pose, **more: Any) -> int:
+        """Sends the next reference; ``more`` overrides fields of it. Returns the time of sending, ns."""
+        now_ns = self.peer.now_ns
+        fields = {"stream_id": self.stream_id, "number": self.number, "time_ns": now_ns}
         self.peer.send(StreamedPose(X_BT_ref=pose, **(fields | more)))
         self.number = (self.number + 1) % NUMBERS
+        return now_ns
 
     def feed(self, pose: Pose, wait_ms: float) -> list[State]:
         """References to ``pose`` for ``wait_ms``, none of them refused; the states that came meanwhile."""
@@ -68,16 +68,30 @@ class Stream:
                     states.append(message)
         return states
 
-    def refused(self, pose: Pose, reason: Reason, what: str, **more: Any) -> StreamRefused:
-        """The answer to a reference that is refused with ``reason``."""
+    def verdict(self, pose: Pose, *, shown: bool = True, **more: Any) -> StreamRefused | None:
+        """The refusal of the next reference, or None when it is followed; as ``give`` and ``verdict_on``."""
         number = more.get("number", self.number)
+        shown_before = number == (self.number - 1) % NUMBERS
         self.give(pose, **more)
-        got = self.peer.expect(StreamRefused, what, ANSWER_MS)
-        require(got.number == number, f"{what}: the refusal names {got.number}, wanted {number}")
-        stream_id = more.get("stream_id", self.stream_id)
-        require(got.stream_id == stream_id, f"{what}: of stream {got.stream_id}, wanted {stream_id}")
+        return self.verdict_on(number, shown=shown and not shown_before)
+
+    def verdict_on(self, number: int, *, shown: bool = True) -> StreamRefused | None:
+        """The refusal of reference ``number``, or None once STATE names it; Failed when neither comes.
+
+        ``shown``: whether STATE names it only if it is followed.
+        """
+        for _, message in self.peer.arriving(ANSWER_MS):
+            if isinstance(message, StreamRefused) and message.number == number:
+                return message
+            if shown and isinstance(message, State) and message.stream_number == number:
+                return None
+        raise Failed(f"reference {number} is neither followed nor refused")
+
+    def refused(self, pose: Pose, reason: Reason, what: str) -> None:
+        """Require that the next reference is refused with ``reason``."""
+        got = known(self.verdict(pose, shown=False), what)
+        require(got.stream_id == self.stream_id, f"{what}: of stream {got.stream_id}")
         require(got.reason is reason, f"{what}: {got.reason.name}, wanted {reason.name}")
-        return got
 
 
 def streamless(peer: Peer, period_ms: int = 20) -> State:
@@ -103,7 +117,7 @@ def opened(peer: Peer, period_ms: int = 20) -> tuple[Stream, State]:
     return opened_stream(peer), reach(peer, GroupState.MOVING, "after START_STREAM")
 
 
-@case(541, "12.1", "streaming that was not negotiated: NOT_NEGOTIATED")
+@case(541, "12.1", "streaming that was not negotiated: NOT_NEGOTIATED", needs=OptionalPart.STREAMING)
 def not_negotiated(peer: Peer) -> None:
     streamless(peer)
     peer.reopen(capabilities=CAPABILITY_PATHS, period_ms=20)
@@ -113,14 +127,19 @@ def not_negotiated(peer: Peer) -> None:
     Stream(peer, peer.new_id()).refused(here, Reason.NOT_NEGOTIATED, "a streamed reference")
 
 
-@case(543, "12.4", "the group's state is judged before the content of a streamed reference")
+@case(
+    543,
+    "12.4",
+    "the group's state is judged before the content of a streamed reference",
+    needs=OptionalPart.STREAMING,
+)
 def state_first(peer: Peer) -> None:
     streamless(peer)
     nan = Pose((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     Stream(peer, peer.new_id()).refused(nan, Reason.DISABLED, "NaN in DISABLED")
 
 
-@case(544, "12.2", "START_STREAM in STANDBY: MOVING with the flag, named by its id, and at rest", motion=True)
+@stream_case(544, "12.2", "START_STREAM in STANDBY: MOVING with the flag, named by its id, and at rest")
 def starts(peer: Peer) -> None:
     stream, state = opened(peer)
     require(bool(state.flags & FLAG_STREAMING), "the flag STREAMING is not set")
@@ -130,7 +149,7 @@ def starts(peer: Peer) -> None:
     require(later.X_BT_cmd == state.X_BT_cmd, "the commanded pose moves without a reference")
 
 
-@case(550, "12.3", "what is followed is not acknowledged; STATE names the newest", motion=True)
+@stream_case(550, "12.3", "what is followed is not acknowledged; STATE names the newest")
 def not_acknowledged(peer: Peer) -> None:
     stream, state = opened(peer)
     peer.passed_over.clear()
@@ -142,7 +161,7 @@ def not_acknowledged(peer: Peer) -> None:
     require(not answers, "a streamed reference was acknowledged")
 
 
-@case(551, "12.7", "the commanded pose goes to the reference without a step and rests there", motion=True)
+@stream_case(551, "12.7", "the commanded pose goes to the reference without a step and rests there")
 def follows(peer: Peer) -> None:
     stream, state = opened(peer)
     goal = moved(state.X_BT_cmd, dz=STEP_M)
@@ -154,14 +173,7 @@ def follows(peer: Peer) -> None:
     stream.feed(state.X_BT_cmd, 2500.0)
 
 
-def silenced(peer: Peer) -> tuple[Stream, State]:
-    """A stream that was followed and then fell silent; the STATE of its end."""
-    stream, state = opened(peer)
-    stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 300.0)
-    return stream, reach(peer, GroupState.ERROR_STOP, "after silence", 2000)
-
-
-@case(553, "12.4", "references that are refused do not keep a stream alive", motion=True)
+@stream_case(553, "12.4", "references that are refused do not keep a stream alive")
 def refused_is_silence(peer: Peer) -> None:
     stream, state = opened(peer)
     stream.feed(state.X_BT_cmd, 200.0)
@@ -173,9 +185,11 @@ def refused_is_silence(peer: Peer) -> None:
     require(seen.fault is FaultCode.REFERENCE_STALE, f"fault {seen.fault.name} after a second of NaN")
 
 
-@case(554, "12.9", "after silence nothing resumes: not by references, not by RESET and ENABLE", motion=True)
+@stream_case(554, "12.9", "after silence nothing resumes: not by references, not by RESET and ENABLE")
 def no_resume(peer: Peer) -> None:
-    stream, state = silenced(peer)
+    stream, state = opened(peer)
+    stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 300.0)
+    state = reach(peer, GroupState.ERROR_STOP, "after silence", 2000)
     ahead = moved(state.X_BT_cmd, dz=STEP_M)
     stream.refused(ahead, Reason.ERROR_LATCHED, "a reference after the stop")
     require_reason(peer, CommandCode.START_STREAM, Reason.ERROR_LATCHED, "error")
@@ -189,7 +203,7 @@ def no_resume(peer: Peer) -> None:
     require(drift < DRIFT_M, f"the arm went on by {drift * 1e3:.1f} mm")
 
 
-@case(555, "12.10", "END_STREAM leads to the newest reference, and the motion is done there", motion=True)
+@stream_case(555, "12.10", "END_STREAM leads to the newest reference, and the motion is done there")
 def ends(peer: Peer) -> None:
     stream, state = opened(peer)
     goal = moved(state.X_BT_cmd, dz=STEP_M)
@@ -204,15 +218,15 @@ def ends(peer: Peer) -> None:
     require_near(seen.X_BT_cmd, goal, 1e-6, "the commanded pose, from the reference")
 
 
-@case(556, "12.2", "a stream closes with its session", motion=True)
+@stream_case(556, "12.2", "a stream closes with its session")
 def closes(peer: Peer) -> None:
     stream, state = opened(peer)
     stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 200.0)
     peer.reopen(period_ms=20, capabilities=BOTH)
     stream.give(state.X_BT_cmd)
     got = peer.expect(StreamRefused, "a reference of a stream of another session", ANSWER_MS)
-    known = (Reason.NOT_STREAMING, Reason.ERROR_LATCHED, Reason.DISABLED)
-    require(got.reason in known, f"a stream of another session: {got.reason.name}")
+    closed = (Reason.NOT_STREAMING, Reason.ERROR_LATCHED, Reason.DISABLED)
+    require(got.reason in closed, f"a stream of another session: {got.reason.name}")
     peer.collect(300)
     seen = peer.state()
     require(not any(seen.valves), f"valves {seen.valves}")

@@ -48,11 +48,7 @@ def carry_out(message: OrderMessage, plant: Plant, cover: Cover, *, shows_truth:
 def obey(order: Order, plant: Plant, cover: Cover) -> list[Injection]:
     """The faults that an order made or mended. Raises RequestRefused."""
     if isinstance(order, MendOrder):
-        if order.number is not None:
-            return [plant.clear(order.number)]
-        mended = list(plant.faults.all())
-        plant.clear_faults()
-        return mended
+        return plant.clear(order.number)
     if not isinstance(order, FaultOrder):
         return []  # a restart is for who holds the process
     if isinstance(order.fault, MarkerCovered):

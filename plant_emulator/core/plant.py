@@ -16,14 +16,13 @@ from plant_emulator.core.faults.effects import (
     MOST_KG,
     break_hydraulics,
     encoder_shift,
+    joints_with,
     load_kg,
     object_shift_m,
     sensor_fault_reported,
-    stuck_encoders,
-    swapped_valves,
     try_out,
 )
-from plant_emulator.core.faults.kinds import AnyFault, OwnFault
+from plant_emulator.core.faults.kinds import AnyFault, EncoderStuck, OwnFault, ValveSwapped
 from plant_emulator.core.faults.schedule import FaultSchedule, Injection
 from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
 from plant_emulator.core.layout import (
@@ -290,16 +289,14 @@ class Plant:
         self._settle_faults()
         return injection
 
-    def clear(self, number: int) -> Injection:
-        """Mend the fault of this number. Raises RequestRefused when there is none."""
-        injection = self.faults.clear(number, self.time_ns)
-        self._apply_faults()
-        return injection
+    def clear(self, number: int | None = None) -> list[Injection]:
+        """Mend the fault of this number, or everything (None), and forget what of it was planned.
 
-    def clear_faults(self) -> None:
-        """Mend everything, and forget what was planned."""
-        self.faults.clear_all(self.time_ns)
+        Returns what was mended. Raises RequestRefused when there is none of this number.
+        """
+        mended = self.faults.clear(number, self.time_ns)
         self._apply_faults()
+        return mended
 
     def _settle_faults(self) -> None:
         if self.faults.settle(self.time_ns):
@@ -309,10 +306,10 @@ class Plant:
         """Bring everything that faults change to what those in force make of it."""
         active, now_ns = self.faults.active, self.time_ns
         self._load_kg = load_kg(active, now_ns, self._payload_kg)
-        self._commands.swap(swapped_valves(self.faults.in_force()))
+        self._commands.swap(joints_with(ValveSwapped, self.faults.in_force()))
         wider = break_hydraulics(active, now_ns, self._model, self._healthy, self._state)
         self._commands.targets.half_hysteresis[:] = wider * self._half_hysteresis
-        self._encoders.hold(stuck_encoders(self.faults.in_force()), self._shafts.angle)
+        self._encoders.hold(joints_with(EncoderStuck, self.faults.in_force()), self._shafts.angle)
         put_payload(self._model, self._bare_tool, self._load_kg, self.config, self._chain)
 
     def _events(self) -> None:

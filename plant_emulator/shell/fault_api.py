@@ -7,6 +7,7 @@ of the link closes. What it is asked is judged here; the plant sees orders that 
 """
 
 import asyncio
+import contextlib
 import itertools
 import signal
 import socket
@@ -66,7 +67,7 @@ class DeskLink:
         self._one = asyncio.Lock()
         self._answers: asyncio.Queue[PlantAnswer] = asyncio.Queue()
         link.setblocking(False)
-        asyncio.get_running_loop().add_reader(link.fileno(), self._arrived)
+        self._listening = asyncio.create_task(self._listen())
 
     async def ask(self, order: Order) -> PlantAnswer:
         """What became of an order. Raises RequestRefused; LinkLost without an answer."""
@@ -83,18 +84,11 @@ class DeskLink:
             raise RequestRefused(answer.cause, answer.detail)
         return answer
 
-    def _arrived(self) -> None:
-        try:
-            data = self._link.recv(MOST_BYTES)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if data:
-            self._answers.put_nowait(PlantAnswer.model_validate_json(data))
-        else:
-            asyncio.get_running_loop().remove_reader(self._link.fileno())
-            self.ended.set()
+    async def _listen(self) -> None:
+        with contextlib.suppress(OSError):
+            while data := await asyncio.get_running_loop().sock_recv(self._link, MOST_BYTES):
+                self._answers.put_nowait(PlantAnswer.model_validate_json(data))
+        self.ended.set()
 
 
 def create_app(plant: DeskLink, allowed: bool, origins: Sequence[str] = ()) -> FastAPI:

@@ -89,13 +89,13 @@ class SimulatedCController:
 
 
 @contextmanager
-def running(program: Path) -> Iterator[int]:
-    """The port of the program, as a process."""
-    process = subprocess.Popen([program, "0"], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        yield int(json.loads(process.stdout.readline())["port"])
-    finally:
-        process.terminate()
-        process.wait(10.0)
-        process.stdout.close()
+def ready(*command: str | Path) -> Iterator[dict[str, Any]]:
+    """What a program says when it is ready; it is ended at the end."""
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        try:
+            yield json.loads(process.stdout.readline())
+        finally:
+            process.terminate()

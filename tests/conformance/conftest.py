@@ -4,16 +4,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.couplers import ShiftedClock, ThreadedCoupler
 from tests.conformance.simulated_network import SimulatedNetwork, simulated
 
 
 @pytest.fixture
-def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimulatedNetwork]:
+def network() -> Iterator[SimulatedNetwork]:
     """Suite and controllers share one simulated clock; no sockets, no waiting."""
     with simulated() as network:
-        monkeypatch.setattr(ControllerUnderTest, "network", network)
         yield network
 
 

@@ -7,6 +7,7 @@ import time
 from functools import cache
 from typing import Any, ClassVar, Self
 
+from conformance.case import CaseOutcome, Summary
 from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
 from controller.core.settings import ScanSettings, settings_from
@@ -46,7 +47,7 @@ def warmed_up() -> None:
 
 
 @cache
-def _shipped_arm_hash() -> int:
+def shipped_arm_hash() -> int:
     return configuration_hash(load(NominalArm, CONFIGS / "arm.yaml"))
 
 
@@ -58,15 +59,23 @@ def _real_socket() -> socket.socket:
     return bound
 
 
+def not_passed(summary: Summary) -> dict[int, str]:
+    """What did not pass, and why."""
+    return {
+        r.case.number: f"{r.outcome.value}: {r.detail}"
+        for r in summary.results
+        if r.outcome is not CaseOutcome.PASS
+    }
+
+
 class ControllerUnderTest:
     """Serves the reference link on a free port of loopback, in a thread of its own, until it is left.
 
     With a ``network`` it serves there, in simulated time and without a thread. A mutant overrides one of the
-    hooks ``make_server``, ``heard`` or ``incoming``, ``judge``, ``shown``, ``outgoing``.
+    hooks ``make_server``, ``incoming``, ``judge``, ``shown``, ``outgoing``.
     """
 
     link_key: LinkKey | None = None
-    server_class: type[ReferenceServer] = ReferenceServer
     network: ClassVar[SimulatedNetwork | None] = None
 
     def __init__(self) -> None:
@@ -91,20 +100,11 @@ class ControllerUnderTest:
 
     def make_server(self) -> ReferenceServer:
         """The server's end of the link."""
-        return self.server_class(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
+        return ReferenceServer(77, shipped_arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
 
     def make_inbox(self) -> Inbox:
         """What holds the requests until the scan."""
         return Inbox()
-
-    def arm_hash(self) -> int:
-        """The hash of the shipped arm."""
-        return _shipped_arm_hash()
-
-    def heard(self, data: bytes, source: object) -> tuple[bytes, object] | None:
-        """A datagram, and where from, as the controller takes it in."""
-        taken = self.incoming(data)
-        return None if taken is None else (taken, source)
 
     def incoming(self, data: bytes) -> bytes | None:
         """A datagram as the controller takes it in."""
@@ -172,9 +172,9 @@ class ControllerUnderTest:
                 data, source = self._socket.recvfrom(65_535)
             except BlockingIOError:
                 break
-            taken = self.heard(data, source)
+            taken = self.incoming(data)
             if taken is not None:
-                batch.append(taken)
+                batch.append((taken, source))
         if batch:
             self._note(self.server.receive_batch(batch, self._clock_ns()))
 

@@ -4,9 +4,7 @@ import asyncio
 import socket
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from types import TracebackType
 from typing import ClassVar, Self
 
 from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
@@ -39,61 +37,20 @@ class ShiftedClock:
         self._shift_ns += round(max(seconds - _SETTLES_S, 0.0) * 1e9)
 
 
-class Threaded(ABC):
-    """Serves on ``port`` in a thread of its own until it is left."""
-
-    def __init__(self) -> None:
-        self.port = 0
-        self._ready = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._stop: asyncio.Event | None = None
-
-    async def _run(self) -> None:
-        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        with socket.socket() as bound:
-            bound.bind(("127.0.0.1", 0))
-            self.port = bound.getsockname()[1]
-            await self.serve(bound, self._stop)
-
-    @abstractmethod
-    async def serve(self, bound: socket.socket, stop: asyncio.Event) -> None:
-        """Listen, call ``ready``, and return when ``stop`` is set."""
-
-    def ready(self) -> None:
-        """Clients may come."""
-        self._ready.set()
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        assert self._ready.wait(10.0)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        assert self._loop is not None
-        assert self._stop is not None
-        self._loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join(10.0)
-
-
-class ThreadedCoupler(Threaded):
-    """Our own coupler on a plant that rests."""
+class ThreadedCoupler:
+    """Our own coupler on a plant that rests; serves on ``port`` in a thread of its own until it is left."""
 
     clock: ClassVar[ShiftedClock | None] = None
 
     def __init__(self) -> None:
-        super().__init__()
+        self.port = 0
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
         self.written: list[ValveImage] = []
         self._valves = ValveCommands(ValveDrive((0,) * 6, (0.0,) * 6), MOTION_WATCHDOG_NS)
         self.take(ValveImage(0, 0, (0.0,) * 6))  # loads what is compiled, before anybody waits for it
         self.sensors()
         self.written.clear()
-
-    def make(self) -> Coupler:
-        """The coupler to serve."""
-        return Coupler(self.sensors, self.take, RELEASE_NS, self.clock_ns())
 
     def take(self, image: ValveImage) -> None:
         """A valve image acts."""
@@ -117,10 +74,22 @@ class ThreadedCoupler(Threaded):
             SensorImage(cycle, self._valves.echo_cycle, status, counts, pressures, 190.0, 10.0, 40.0)
         )
 
-    async def serve(self, bound: socket.socket, stop: asyncio.Event) -> None:
-        """Answer until ``stop``."""
-        coupler = self.make()
-        await coupler.start(bound)
-        self.ready()
-        await stop.wait()
-        await coupler.stop()
+    async def _serve(self) -> None:
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        coupler = Coupler(self.sensors, self.take, RELEASE_NS, self.clock_ns())
+        with socket.socket() as bound:
+            bound.bind(("127.0.0.1", 0))
+            self.port = bound.getsockname()[1]
+            await coupler.start(bound)
+            self._ready.set()
+            await self._stop.wait()
+            await coupler.stop()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        assert self._ready.wait(10.0)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(10.0)

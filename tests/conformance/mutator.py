@@ -19,7 +19,7 @@ from protocol.datagram import decode, encode
 from protocol.faults import CommandCode
 from protocol.reference_messages import Command, Request
 from protocol.server_session import ReferenceServer
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest, shipped_arm_hash
 from tests.support.paths import ROOT
 
 KEY = LinkKey(bytes(range(32)))
@@ -99,7 +99,7 @@ class _Copied(ControllerUnderTest):
         super().__init__()
 
     def make_server(self) -> ReferenceServer:
-        return self._server_class(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
+        return self._server_class(77, shipped_arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
 
     def make_inbox(self) -> Inbox:
         return self._inbox_class()

@@ -150,10 +150,11 @@ class SimulatedNetwork:
 
 @contextmanager
 def simulated() -> Iterator[SimulatedNetwork]:
-    """Give the suite a simulated clock and network."""
+    """Suite and controllers share one simulated clock; no sockets, no waiting."""
     network = SimulatedNetwork()
     modules = network.modules()
     with ExitStack() as stack:
         for place in ("wire.time", "wire.socket", "wire.select", "peer.time", "runner.time"):
             stack.enter_context(patch(f"conformance.{place}", modules[place.split(".")[1]]))
+        stack.enter_context(patch("tests.conformance.controllers.ControllerUnderTest.network", network))
         yield network

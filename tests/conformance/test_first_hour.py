@@ -9,14 +9,14 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from conformance.case import CaseOutcome, Summary
+from conformance.case import CaseOutcome
 from conformance.command import app as suites
 from conformance.command import print_step, result_line
 from conformance.records import COUPLER_STEPS, REFERENCE_STEPS
 from conformance.runner import coupler_cases, run_coupler, run_reference
 from protocol.datagram_layout import Kind
 from protocol.reference_messages import Acknowledgement
-from tests.conformance.controllers import ControllerUnderTest
+from tests.conformance.controllers import ControllerUnderTest, not_passed
 from tests.conformance.couplers import ThreadedCoupler
 
 simulated = pytest.mark.usefixtures("network")
@@ -37,15 +37,6 @@ class HalfWritten(ControllerUnderTest):
 
     def outgoing(self, data: bytes) -> list[bytes]:
         return [data] if data[6] in self.sends else []
-
-
-def not_passed(summary: Summary) -> dict[int, str]:
-    """What did not pass, and why."""
-    return {
-        r.case.number: f"{r.outcome.value} {r.detail}"
-        for r in summary.results
-        if r.outcome is not CaseOutcome.PASS
-    }
 
 
 @simulated

@@ -1,8 +1,7 @@
 """Broken controllers and couplers: each is caught by the case that its row names."""
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import pytest
 
@@ -14,7 +13,6 @@ from tests.conformance import systematic_state as state
 from tests.conformance import systematic_streams as streams
 from tests.conformance import systematic_table as table
 from tests.conformance.classes import mutants as classes
-from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.coupler_mutants import MUTANTS as COUPLERS
 from tests.conformance.coupler_mutants import CouplerMutant
 from tests.conformance.couplers import ShiftedClock
@@ -44,22 +42,10 @@ def _guarded(turn: Callable[[], None]) -> Callable[[], None]:
     return guarded
 
 
-@contextmanager
-def simulated_time() -> Iterator[None]:
-    """Suite and controllers share one simulated clock; no sockets, no waiting."""
-    before = ControllerUnderTest.network
-    with simulated() as network:
-        ControllerUnderTest.network = network
-        try:
-            yield
-        finally:
-            ControllerUnderTest.network = before
-
-
 def caught(broken: BrokenController, number: int) -> bool:
     """Whether the case fails; a controller that ends by an exception or leaves the link is caught too."""
     try:
-        with simulated_time(), broken.make() as controller:
+        with simulated(), broken.make() as controller:
             controller.turn = _guarded(controller.turn)  # type: ignore[method-assign]
             port, key = controller.port, broken.key
             summary = run_reference("127.0.0.1", port, numbers=[number], motion=True, key=key, seed=1)

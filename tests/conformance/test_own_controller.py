@@ -1,45 +1,26 @@
 """The suite against our own controller, in simulated time and as a process: every case passes."""
 
-import json
-import selectors
-import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from conformance.case import CaseOutcome
 from conformance.parts import OptionalPart
 from conformance.runner import reference_cases, run_reference
 from foundation.secret_source import key_from_file
-from tests.conformance.controllers import ControllerUnderTest
-from tests.support.paths import CONFIGS, ROOT
+from tests.conformance.c_controller import ready
+from tests.conformance.controllers import ControllerUnderTest, not_passed
+from tests.support.paths import CONFIGS
 
-START_S = 90.0
 # Cases about authentication; test_key_suite asks them.
 WITH_A_KEY = set(range(701, 741)) - {722}
 
 
-@contextmanager
-def service(module: str, *overrides: str) -> Iterator[dict[str, Any]]:
+def service(module: str, *overrides: str) -> AbstractContextManager[dict[str, Any]]:
     """What a service says when it is ready; it is ended at the end."""
-    command = [sys.executable, "-m", module, "--config-dir", str(CONFIGS), "--set", *overrides]
-    process = subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
-    assert process.stdout is not None
-    try:
-        with selectors.DefaultSelector() as selector:
-            selector.register(process.stdout, selectors.EVENT_READ)
-            assert selector.select(START_S), f"{module} is not ready after {START_S:g} s"
-        yield json.loads(process.stdout.readline())
-    finally:
-        process.terminate()
-        assert process.wait(10.0) == 0
-        process.stdout.close()
+    return ready(sys.executable, "-m", module, "--config-dir", str(CONFIGS), "--set", *overrides)
 
 
 @pytest.mark.slow("every case of the suite")
@@ -48,8 +29,7 @@ def test_our_own_controller_passes_every_case_in_simulated_time() -> None:
     numbers = [case.number for case in reference_cases() if case.number not in WITH_A_KEY]
     with ControllerUnderTest() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
-    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not CaseOutcome.PASS]
-    assert bad == []
+    assert not_passed(summary) == {}
     assert len(summary.results) == len(numbers)
     assert summary.passed
 
@@ -89,14 +69,9 @@ def test_our_own_controller_passes_every_case(module: str, authenticated: bool, 
             motion=True,
             key=key_from_file(key_file) if authenticated else None,
         )
-    not_passed = {
-        r.case.number: (r.outcome.value, r.detail)
-        for r in summary.results
-        if r.outcome.value not in ("pass", "flaky")
-    }
+    others = {number: why for number, why in not_passed(summary).items() if not why.startswith("flaky")}
     # Of authentication all cases, or the one about its absence, are not for this controller.
     part = OptionalPart.KEY_REFUSAL if authenticated else OptionalPart.AUTHENTICATION
     other = {case.number for case in reference_cases() if part in case.needs}
-    assert {number: why for number, why in not_passed.items() if number not in other} == {}
-    assert other <= set(not_passed)
-    assert all(not_passed[number][0] == "unsupported" for number in other)
+    assert set(others) == other
+    assert all(why.startswith("unsupported") for why in others.values())

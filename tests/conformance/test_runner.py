@@ -20,7 +20,7 @@ from conformance.wire import NonceSource
 from protocol.errors import ConfigurationError
 from protocol.server_session import ReferenceServer
 from testbed.cli.main import app
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest, shipped_arm_hash
 from tests.conformance.couplers import ThreadedCoupler
 
 simulated = pytest.mark.usefixtures("network")
@@ -238,7 +238,7 @@ class WithoutOptions(ControllerUnderTest):
     """Grants neither paths nor streams."""
 
     def make_server(self) -> ReferenceServer:
-        return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, capabilities=0)
+        return ReferenceServer(77, shipped_arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, capabilities=0)
 
 
 class DropsSigned(ControllerUnderTest):
@@ -280,6 +280,7 @@ def test_what_is_claimed_and_missing_fails(kind: type[ControllerUnderTest], numb
     assert asked(kind, "base", CONTROL, number) == {CONTROL: PASS, number: UNSUPPORTED}
     assert asked(kind, None, CONTROL, number) == {CONTROL: PASS, number: UNSUPPORTED}
     assert asked(ControllerUnderTest, part, CONTROL, number) == {CONTROL: PASS, number: PASS}
+    assert asked(ControllerUnderTest, "base", CONTROL, number) == {CONTROL: PASS, number: UNSUPPORTED}
 
 
 class Basic(WithoutOptions, DropsSigned):
@@ -297,16 +298,6 @@ def test_who_lacks_optional_parts_fails_no_case(kind: type[ControllerUnderTest])
     lacking = [r for r in summary.results if r.outcome is UNSUPPORTED]
     assert lacking
     assert [r.case.number for r in lacking if not r.case.needs] == []
-
-
-@simulated
-def test_what_is_not_claimed_is_not_asked() -> None:
-    numbers = (CONTROL, PATH, STREAM, KEYLESS, MOVES)
-    with ControllerUnderTest() as controller:
-        profile = profile_from("base")
-        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True, profile=profile)
-    assert outcomes(summary) == {CONTROL: PASS, **dict.fromkeys(numbers[1:], UNSUPPORTED)}
-    assert all(r.attempts == () and "not claimed" in r.detail for r in summary.results[1:])
 
 
 def test_a_profile_is_of_names_and_says_what_is_wrong() -> None:

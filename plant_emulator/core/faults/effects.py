@@ -11,6 +11,7 @@ from plant_emulator.core.faults.kinds import (
     EncoderBias,
     EncoderJump,
     EncoderStuck,
+    JointFault,
     ObjectMoves,
     OwnFault,
     PayloadChange,
@@ -18,7 +19,6 @@ from plant_emulator.core.faults.kinds import (
     SupplyLost,
     ValveSlow,
     ValveStuck,
-    ValveSwapped,
     ValvesWorn,
 )
 from plant_emulator.core.faults.schedule import Injection
@@ -28,6 +28,7 @@ from protocol.errors import RequestRefused
 
 Array = NDArray[np.float64]
 MOST_KG = 1000.0
+_SIX = (N_ACTUATORS,)
 
 
 def break_hydraulics(
@@ -57,16 +58,16 @@ def break_hydraulics(
             model.circuit[col.C_RUNNING] = 0.0
         elif isinstance(fault, OwnFault):
             elapsed_s = injection.elapsed_s(now_ns)
-            omega *= _six(fault, "valve_speed", fault.valve_speed(elapsed_s), 0.0, 1.0)
+            omega *= _taken(fault, "valve_speed", fault.valve_speed(elapsed_s), 0.0, 1.0)
             state[SPOOL_RATE : SPOOL_RATE + N_ACTUATORS][omega == 0.0] = 0.0
             if not fault.pump_runs(elapsed_s):
                 model.circuit[col.C_RUNNING] = 0.0
     return wider
 
 
-def swapped_valves(faults: Sequence[AnyFault]) -> list[int]:
-    """The joints whose valves go the other way."""
-    return sorted({fault.index for fault in faults if isinstance(fault, ValveSwapped)})
+def joints_with(kind: type[JointFault], faults: Sequence[AnyFault]) -> list[int]:
+    """The joints that have a fault of this kind."""
+    return [fault.index for fault in faults if isinstance(fault, kind)]
 
 
 def load_kg(active: Sequence[Injection], now_ns: int, healthy_kg: float) -> float:
@@ -79,7 +80,7 @@ def load_kg(active: Sequence[Injection], now_ns: int, healthy_kg: float) -> floa
         elif isinstance(fault, PayloadChange):
             load = fault.mass_kg
         elif isinstance(fault, OwnFault):
-            load = _within(fault, "load_kg", fault.load_kg(injection.elapsed_s(now_ns), load), 0.0, MOST_KG)
+            load = _load_kg(fault, injection.elapsed_s(now_ns), load)
     return load
 
 
@@ -91,11 +92,6 @@ def object_shift_m(active: Sequence[Injection], now_ns: int) -> Array:
         if isinstance(fault, ObjectMoves):
             slid["xyz".index(fault.axis)] += 1e-3 * fault.speed_mm_s * injection.elapsed_s(now_ns)
     return slid
-
-
-def stuck_encoders(faults: Sequence[AnyFault]) -> set[int]:
-    """The joints whose encoders repeat their count."""
-    return {fault.index for fault in faults if isinstance(fault, EncoderStuck)}
 
 
 def sensor_fault_reported(faults: Sequence[AnyFault]) -> bool:
@@ -114,7 +110,9 @@ def encoder_shift(active: Sequence[Injection], now_ns: int) -> Array:
             grown = min(injection.elapsed_s(now_ns) / fault.ramp_s, 1.0)
             shift[fault.index] += 1e-3 * fault.angle_mrad * grown
         elif isinstance(fault, OwnFault):
-            shift += _six(fault, "encoder_shift", fault.encoder_shift(injection.elapsed_s(now_ns)), -1.0, 1.0)
+            shift += _taken(
+                fault, "encoder_shift", fault.encoder_shift(injection.elapsed_s(now_ns)), -1.0, 1.0
+            )
     return shift
 
 
@@ -124,9 +122,9 @@ def try_out(fault: OwnFault) -> None:
     Raises RequestRefused (``refused.disturbance``).
     """
     try:
-        _six(fault, "encoder_shift", fault.encoder_shift(0.0), -1.0, 1.0)
-        _six(fault, "valve_speed", fault.valve_speed(0.0), 0.0, 1.0)
-        _within(fault, "load_kg", fault.load_kg(0.0, 0.0), 0.0, MOST_KG)
+        _taken(fault, "encoder_shift", fault.encoder_shift(0.0), -1.0, 1.0)
+        _taken(fault, "valve_speed", fault.valve_speed(0.0), 0.0, 1.0)
+        _load_kg(fault, 0.0, 0.0)
         fault.pump_runs(0.0)
     except RequestRefused:
         raise
@@ -135,17 +133,16 @@ def try_out(fault: OwnFault) -> None:
         raise RequestRefused("refused.disturbance", why) from error
 
 
-def _six(fault: OwnFault, what: str, values: Array, low: float, high: float) -> Array:
+def _taken(
+    fault: OwnFault, what: str, values: Array | float, low: float, high: float, shape: tuple[int, ...] = _SIX
+) -> Array:
     """``values`` of a foreign method; raises RequestRefused for what no plant takes."""
     found = np.asarray(values, dtype=np.float64)
-    if found.shape != (N_ACTUATORS,) or not np.all((found >= low) & (found <= high)):
-        why = f"{fault.name}: {what} gave {found.tolist()}: wanted six numbers in {low:g} to {high:g}"
-        raise RequestRefused("refused.disturbance", why)
+    if found.shape != shape or not np.all((found >= low) & (found <= high)):
+        wanted = f"wanted {'six numbers in ' if shape else ''}{low:g} to {high:g}"
+        raise RequestRefused("refused.disturbance", f"{fault.name}: {what} gave {found.tolist()}: {wanted}")
     return found
 
 
-def _within(fault: OwnFault, what: str, value: float, low: float, high: float) -> float:
-    if not low <= value <= high:
-        why = f"{fault.name}: {what} gave {value!r}: wanted {low:g} to {high:g}"
-        raise RequestRefused("refused.disturbance", why)
-    return float(value)
+def _load_kg(fault: OwnFault, elapsed_s: float, load_kg: float) -> float:
+    return float(_taken(fault, "load_kg", fault.load_kg(elapsed_s, load_kg), 0.0, MOST_KG, ()))

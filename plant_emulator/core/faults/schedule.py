@@ -164,18 +164,14 @@ class FaultSchedule:
             self._note(now_ns, "planned", injection)
         return injection
 
-    def clear(self, number: int, now_ns: int) -> Injection:
-        """The fault of this number, which is over now. Raises RequestRefused (``refused.no_such_fault``)."""
-        for injection in self.all():
-            if injection.number == number:
-                self._end(injection, now_ns)
-                return injection
-        raise RequestRefused("refused.no_such_fault", f"number {number}: neither in force nor planned")
-
-    def clear_all(self, now_ns: int) -> None:
-        """Everything is over now."""
-        for injection in self.all():
+    def clear(self, number: int | None, now_ns: int) -> list[Injection]:
+        """The fault of this number (None: all of them), over now. Raises RequestRefused for none of it."""
+        over = [injection for injection in self.all() if number in (None, injection.number)]
+        if not over and number is not None:
+            raise RequestRefused("refused.no_such_fault", f"number {number}: neither in force nor planned")
+        for injection in over:
             self._end(injection, now_ns)
+        return over
 
     def next_ns(self) -> int:
         """When the next fault begins, ends, or is to be asked again."""

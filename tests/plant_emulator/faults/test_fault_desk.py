@@ -2,14 +2,14 @@
 
 import socket
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from typing import NamedTuple
 
 import pytest
 
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.faults.kinds import Fault, SupplyLost
+from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.faults.schedule import (
     MOST_BYTES,
     FaultOrder,
@@ -48,29 +48,17 @@ class Bench(NamedTuple):
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    with bench_of(shows_truth=False) as made:
-        yield made
-
-
-@contextmanager
-def bench_of(shows_truth: bool) -> Iterator[Bench]:
-    """A bench whose desk shows where the arm really is, or not."""
     plant, log, restarts = Plant(plant_config(), seed=1), HeardLog("plant_emulator"), []
-    config = FaultApiConfig(host="127.0.0.1", port=0, allowed=True, shows_truth=shows_truth)
+    config = FaultApiConfig(host="127.0.0.1", port=0, allowed=True)
     desk = FaultDesk(plant, Scene(scene_config()), config, log, lambda: restarts.append(plant.time_ns))
     desk._theirs.setblocking(False)
     with closing(desk._link), closing(desk._theirs):
         yield Bench(plant, desk, desk._theirs, log, restarts)
 
 
-def broken(fault: Fault) -> FaultOrder:
-    """An order for ``fault``, at once."""
-    return FaultOrder(fault=fault)
-
-
 def test_one_order_at_a_time_however_many_wait(bench: Bench) -> None:
     for number in range(1, 6):
-        bench.order(number, broken(SupplyLost()) if number % 2 else MendOrder(number=None))
+        bench.order(number, FaultOrder(fault=SupplyLost()) if number % 2 else MendOrder(number=None))
     for number in range(1, 6):
         assert bench.answer().number == number
         assert bool(bench.plant.faults.active) == bool(number % 2)

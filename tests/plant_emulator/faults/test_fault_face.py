@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+import math
 import socket
+from collections.abc import Callable
 from typing import Any
 
 import httpx
@@ -29,6 +31,7 @@ from tests.plant_emulator.plant_world import plant_config
 pytestmark = pytest.mark.realtime
 
 MS = 1_000_000
+JSON = {"content-type": "application/json"}
 
 
 class NearPlant:
@@ -48,33 +51,18 @@ class NearPlant:
         return PlantAnswer.model_validate_json(answer.model_dump_json())
 
 
-class Client:
-    """Asks an application without a socket."""
+Client = Callable[..., httpx.Response]
 
-    def __init__(self, app: FastAPI) -> None:
-        self._app = app
 
-    def request(self, method: str, path: str, **content: Any) -> httpx.Response:
-        """The response to one request."""
+def client(app: FastAPI) -> Client:
+    """Asks an application by method and path, without a socket."""
 
-        async def asked() -> httpx.Response:
-            transport = httpx.ASGITransport(self._app, raise_app_exceptions=False)
-            async with httpx.AsyncClient(transport=transport, base_url="http://plant") as client:
-                return await client.request(method, path, **content)
+    async def asked(method: str, path: str, **content: Any) -> httpx.Response:
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://plant") as http:
+            return await http.request(method, path, **content)
 
-        return asyncio.run(asked())
-
-    def get(self, path: str) -> httpx.Response:
-        """The response to GET."""
-        return self.request("GET", path)
-
-    def post(self, path: str, **content: Any) -> httpx.Response:
-        """The response to POST."""
-        return self.request("POST", path, **content)
-
-    def delete(self, path: str) -> httpx.Response:
-        """The response to DELETE."""
-        return self.request("DELETE", path)
+    return lambda *request, **content: asyncio.run(asked(*request, **content))
 
 
 @pytest.fixture
@@ -84,14 +72,14 @@ def plant() -> Plant:
 
 @pytest.fixture
 def face(plant: Plant) -> Client:
-    return Client(create_app(NearPlant(plant), True))
+    return client(create_app(NearPlant(plant), True))
 
 
 @pytest.fixture(scope="module")
 def whole() -> tuple[Client, Plant]:
     """A face and its plant for tests that break nothing, nor mend."""
     plant = Plant(plant_config(), seed=1)
-    return Client(create_app(NearPlant(plant), True)), plant
+    return client(create_app(NearPlant(plant), True)), plant
 
 
 def problem(response: httpx.Response, status: int, cause: str) -> str:
@@ -107,23 +95,23 @@ def problem(response: httpx.Response, status: int, cause: str) -> str:
 
 def test_every_fault_can_be_injected_seen_and_mended(face: Client, plant: Plant) -> None:
     for data in EVERY:
-        created = face.post("/faults", json={"fault": data})
+        created = face("POST", "/faults", json={"fault": data})
         assert created.status_code == 201
         body = created.json()
         assert body["fault"].items() >= data.items()
         assert plant.truth().faults == (body["name"],)
-        assert face.get(created.headers["location"]).json() == body
-        assert face.get("/faults").json() == {
+        assert face("GET", created.headers["location"]).json() == body
+        assert face("GET", "/faults").json() == {
             "allowed": True, "time_ns": plant.time_ns, "active": [body], "planned": []
         }  # fmt: skip
-        assert face.delete(created.headers["location"]).json() == body
+        assert face("DELETE", created.headers["location"]).json() == body
         assert plant.truth().faults == ()
-        problem(face.get(created.headers["location"]), 404, "refused.no_such_fault")
-        problem(face.delete(created.headers["location"]), 404, "refused.no_such_fault")
+        problem(face("GET", created.headers["location"]), 404, "refused.no_such_fault")
+        problem(face("DELETE", created.headers["location"]), 404, "refused.no_such_fault")
 
 
 def test_kinds_come_with_their_schema(face: Client) -> None:
-    kinds = {row["kind"]: row for row in face.get("/faults/kinds").json()}
+    kinds = {row["kind"]: row for row in face("GET", "/faults/kinds").json()}
     assert set(kinds) == set(FAULTS)
     slow = kinds["valve_slow"]["schema"]
     assert slow["properties"]["bandwidth_share"]["minimum"] == 0.01
@@ -133,10 +121,10 @@ def test_kinds_come_with_their_schema(face: Client) -> None:
 
 
 def test_everything_is_mended_at_once(face: Client, plant: Plant) -> None:
-    first = face.post("/faults", json={"fault": {"kind": "supply_lost"}}).json()
-    later = face.post("/faults", json={"fault": {"kind": "coupler_silent"}, "start_after_s": 9}).json()
-    assert face.delete("/faults").json() == [first, later]
-    assert face.get("/faults").json()["planned"] == []
+    first = face("POST", "/faults", json={"fault": {"kind": "supply_lost"}}).json()
+    later = face("POST", "/faults", json={"fault": {"kind": "coupler_silent"}, "start_after_s": 9}).json()
+    assert face("DELETE", "/faults").json() == [first, later]
+    assert face("GET", "/faults").json()["planned"] == []
     assert plant.truth().faults == ()
 
 
@@ -150,30 +138,33 @@ def test_everything_is_mended_at_once(face: Client, plant: Plant) -> None:
         ({"fault": {"kind": "supply_lost"}, "start_after_s": -1}, "request.invalid", "start_after_s"),
         ({"fault": {"kind": "supply_lost"}, "duration_s": 0}, "request.invalid", "duration_s"),
         ({"fault": {"kind": "supply_lost"}, "when": "now"}, "request.invalid", "when"),
+        *(({"fault": {"kind": kind} | more}, "refused.fault_parameter", named) for kind, more, named in (
+            ("valve_stuck", {}, "joint"), ("valve_stuck", {"joint": "elbow"}, "elbow"),
+            ("valve_slow", {"joint": "lift", "bandwidth_share": 0.0}, "bandwidth_share = 0"),
+            ("encoder_jump", {"joint": "lift", "angle_mrad": math.nan}, "angle_mrad"),
+            ("payload_change", {"mass_kg": math.inf}, "mass_kg"),
+            ("camera_frozen", {"stamps": "melt"}, "melt"),
+        )),
+        *((data, "request.invalid", "") for data in (
+            b"", b"{", b"[]", b"\xff\xfe", b'{"fault": NaN}', b"null")),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_and_nothing_breaks(
-    whole: tuple[Client, Plant], body: dict[str, Any], cause: str, named: str
+    whole: tuple[Client, Plant], body: dict[str, Any] | bytes, cause: str, named: str
 ) -> None:
     face, plant = whole
-    assert named in problem(face.post("/faults", json=body), 422, cause)
+    content = body if isinstance(body, bytes) else json.dumps(body)
+    assert named in problem(face("POST", "/faults", content=content, headers=JSON), 422, cause)
     assert not plant.faults.all()
     assert not plant.faults.changes
 
 
-@pytest.mark.parametrize("body", [b"", b"{", b"[]", b"\xff\xfe", b'{"fault": NaN}', b"null"])
-def test_what_is_not_an_order_at_all_is_refused(whole: tuple[Client, Plant], body: bytes) -> None:
-    face, plant = whole
-    problem(face.post("/faults", content=body), 422, "request.invalid")
-    assert not plant.faults.all()
-
-
 def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(plant: Plant) -> None:
     planned = plant.inject(FAULTS["supply_lost"]())  # type: ignore[arg-type]
-    face = Client(create_app(NearPlant(plant), False))
-    assert face.get("/faults").json()["allowed"] is False
-    assert face.get(f"/faults/{planned.number}").status_code == 200
-    assert len(face.get("/faults/kinds").json()) == len(FAULTS)
+    face = client(create_app(NearPlant(plant), False))
+    assert face("GET", "/faults").json()["allowed"] is False
+    assert face("GET", f"/faults/{planned.number}").status_code == 200
+    assert len(face("GET", "/faults/kinds").json()) == len(FAULTS)
     changing = (
         ("POST", "/faults"),
         ("DELETE", "/faults"),
@@ -181,17 +172,17 @@ def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(
         ("POST", "/world/restart"),
     )
     for method, path in changing:
-        response = face.request(method, path, json={"fault": {"kind": "payload_drop"}})
+        response = face(method, path, json={"fault": {"kind": "payload_drop"}})
         assert "--allow-faults" in problem(response, 403, "refused.faults_not_allowed")
     assert plant.truth().faults == ("supply_lost",)
 
 
 def test_where_the_arm_is_is_told_only_where_it_is_shown(plant: Plant) -> None:
     near = NearPlant(plant)
-    face = Client(create_app(near, False))
-    assert "--show-truth" in problem(face.get("/truth"), 404, "refused.truth_hidden")
+    face = client(create_app(near, False))
+    assert "--show-truth" in problem(face("GET", "/truth"), 404, "refused.truth_hidden")
     near.shows_truth = True
-    told = face.get("/truth").json()
+    told = face("GET", "/truth").json()
     points = np.array(told["arm_points_m"])
     assert told["time_ns"] == plant.time_ns
     assert points[0] == pytest.approx(np.zeros(3), abs=1e-5)
@@ -200,7 +191,7 @@ def test_where_the_arm_is_is_told_only_where_it_is_shown(plant: Plant) -> None:
     reach = np.linalg.norm(np.diff(points, axis=0), axis=1)
     plant.write(ValveImage(1, CONTROL_ENABLE, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
     plant.advance(400 * MS)
-    moved = np.array(face.get("/truth").json()["arm_points_m"])
+    moved = np.array(face("GET", "/truth").json()["arm_points_m"])
     assert np.linalg.norm(moved[-1] - points[-1]) > 0.01
     assert np.linalg.norm(np.diff(moved, axis=0), axis=1) == pytest.approx(
         reach, abs=0.01
@@ -209,23 +200,15 @@ def test_where_the_arm_is_is_told_only_where_it_is_shown(plant: Plant) -> None:
 
 def test_only_pages_that_are_allowed_may_read_the_answers(plant: Plant) -> None:
     ours, theirs = "http://127.0.0.1:8000", "http://evil.example"
-    face = Client(create_app(NearPlant(plant), True, [ours]))
-    assert (
-        face.request("GET", "/faults", headers={"origin": ours}).headers["access-control-allow-origin"]
-        == ours
-    )
-    assert (
-        "access-control-allow-origin"
-        not in face.request("GET", "/faults", headers={"origin": theirs}).headers
-    )
-    shut = Client(create_app(NearPlant(plant), True))
-    assert (
-        "access-control-allow-origin" not in shut.request("GET", "/faults", headers={"origin": ours}).headers
-    )
+    face = client(create_app(NearPlant(plant), True, [ours]))
+    assert face("GET", "/faults", headers={"origin": ours}).headers["access-control-allow-origin"] == ours
+    assert "access-control-allow-origin" not in face("GET", "/faults", headers={"origin": theirs}).headers
+    shut = client(create_app(NearPlant(plant), True))
+    assert "access-control-allow-origin" not in shut("GET", "/faults", headers={"origin": ours}).headers
 
 
 def test_a_restart_is_asked_for_without_a_body(face: Client, plant: Plant) -> None:
-    answer = face.post("/world/restart")
+    answer = face("POST", "/world/restart")
     assert (answer.status_code, answer.json()) == (202, {"restarts": True})
     assert not plant.faults.all()
 
@@ -248,10 +231,10 @@ _TIMES = st.dictionaries(st.sampled_from(["start_after_s", "duration_s", "when"]
 def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client, Plant], body: Any) -> None:
     face, plant = whole
     before = plant.faults.all()
-    response = face.post("/faults", content=json.dumps(body).encode())
+    response = face("POST", "/faults", content=json.dumps(body).encode())
     assert response.status_code in (201, 409, 422)
     if response.status_code == 201:
-        face.delete(response.headers["location"])
+        face("DELETE", response.headers["location"])
     else:
         assert problem(response, response.status_code, response.json()["cause"])
     assert plant.faults.all() == before

@@ -80,11 +80,11 @@ class Schedule(RuleBasedStateMachine):
         if not self.known:
             return
         number = sorted(self.known)[which % len(self.known)]
-        assert self.schedule.clear(number, self.now) == self.known.pop(number)
+        assert self.schedule.clear(number, self.now) == [self.known.pop(number)]
 
     @rule()
     def clear_all(self) -> None:
-        self.schedule.clear_all(self.now)
+        self.schedule.clear(None, self.now)
         self.known.clear()
 
     @rule(step=st.integers(0, 4))

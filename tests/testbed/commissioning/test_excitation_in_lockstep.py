@@ -9,8 +9,6 @@ from plant_emulator.core.faults.kinds import CouplerSilent
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import decode_valves
-from testbed.commissioning.recording import recording_of, strokes_in
-from testbed.commissioning.valve_fit import edge_findings
 from testbed.lockstep.clock import run
 from testbed.lockstep.world import World
 from vision_pc.application.link_arm import LinkArm
@@ -92,22 +90,3 @@ def test_a_stopped_joint_is_begun_anew_after_enable(exciting: Exciting) -> None:
     run(world.link.command(CommandCode.ENABLE))
     driven(world, 5)
     assert world.controller.program.excitation.stroke == 0
-
-
-def test_the_deadband_of_a_drawn_valve_is_found(exciting: Exciting) -> None:
-    world = exciting(5, "controller.excitation.ramps=2", "plant.valves.deadband=0.03")
-    controller = world.controller.program
-    assert controller.plan is not None
-    plan = controller.plan
-    assert world.clock.advance_until(lambda: controller.excitation.finished(plan), 120.0)
-    recording = recording_of(world.settings.arm, 5, plan.strokes, controller.samples)
-    strokes = strokes_in(recording, compensated=False)
-    for sense in (1.0, -1.0):
-        found = edge_findings(strokes, sense)
-        assert found.deadband.value == pytest.approx(0.03, rel=0.02)
-        assert abs(found.deadband.value - 0.03) < 3.0 * found.deadband.std
-        assert abs(found.hysteresis.value) < 3.0 * found.hysteresis.std + 3e-4
-        assert 0.005 < found.lag.value < 0.04  # a cycle, the drive's 1 ms, the spool's 30 Hz
-    still = controller.excitation.excitation
-    assert still is not None
-    assert abs(recording.q[-1, 5] - recording.q[0, 5]) < 0.03

@@ -184,14 +184,6 @@ def test_one_pace_is_refused() -> None:
     assert raised.value.cause == "measurement.one_pace"
 
 
-def test_too_few_strokes_are_refused() -> None:
-    strokes = strokes_of(ToyValve(5))
-    searches = [stroke for stroke in strokes if stroke.kind is StrokeKind.SEARCH]
-    with pytest.raises(MeasurementFailed, match="two of each") as raised:
-        edge_findings(searches, 1.0)
-    assert raised.value.cause == "measurement.too_few_strokes"
-
-
 def test_a_ramp_that_hardly_moved_is_refused() -> None:
     ramp = next(stroke for stroke in strokes_of(ToyValve(5)) if stroke.kind is StrokeKind.RAMP)
     with pytest.raises(MeasurementFailed) as raised:
