@@ -7,8 +7,6 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-import numpy as np
-
 from conformance.case import case, moving_case
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
@@ -218,23 +216,32 @@ def _way(watch: StateWatch, goal: Pose) -> list[State]:
     return [before, *(each.state for each in watch.during(1e3 * SECONDS + SETTLES_MS))]
 
 
+def _together(a: Sequence[float], b: Sequence[float]) -> float:
+    """How much two go together: their covariance, times their number."""
+    mean = sum(a) / len(a)
+    return sum((x - mean) * y for x, y in zip(a, b, strict=True))
+
+
 def _require_driven(states: list[State], there: State, what: str) -> None:
-    commanded, measured, valves = (
-        np.array([getattr(state, name) for state in states]) for name in ("q_cmd", "q_meas", "valves")
-    )
-    spans, ways = np.ptp(commanded, axis=0), np.ptp(measured, axis=0)
-    # How much two go together: their covariance, times their number.
-    goes = np.sum((commanded - commanded.mean(axis=0)) * measured, axis=0)
-    gains = (valves[1:] - valves[1:].mean(axis=0)).T @ np.diff(measured, axis=0)
-    mover, follows = int(spans.argmax()), ways > FOLLOWS * spans
+    commanded, measured = ([*zip(*rows, strict=True)] for rows in (
+        [s.q_cmd for s in states], [s.q_meas for s in states]))  # fmt: skip
+    spans, ways = ([max(each) - min(each) for each in joints] for joints in (commanded, measured))
+    gains = []
     for j in range(6):
-        if spans[j] > MOVES * spans[mover]:
-            require(goes[j] > 0.0, f"{what}: q_meas of joint {j + 1} goes against q_cmd")
-            drives = not follows[j] or gains[j, j] > 0.0
-            require(drives, f"{what}: the valve of joint {j + 1} drives it backwards")
-        elif spans[j] < RESTS * spans[mover] and follows[mover]:
-            rests = abs(gains[j, mover]) < gains[mover, mover]
-            require(rests, f"{what}: joint {j + 1} rests, but its valve is driven")
+        speeds = [b - a for a, b in pairwise(measured[j])]
+        gains.append(_together([s.valves[j] for s in states[1:]], speeds))
+        if spans[j] > MOVES * max(spans):
+            goes = _together(commanded[j], measured[j])
+            require(goes > 0.0, f"{what}: q_meas of joint {j + 1} goes against q_cmd")
+            follows = ways[j] > FOLLOWS * spans[j]
+            require(not follows or gains[j] > 0.0, f"{what}: the valve of joint {j + 1} drives it backwards")
+    mover = max(range(6), key=spans.__getitem__)
+    for j in (
+        j for j in range(6) if spans[j] < RESTS * spans[mover] and ways[mover] > FOLLOWS * spans[mover]
+    ):
+        speeds = [b - a for a, b in pairwise(measured[mover])]
+        gain = _together([s.valves[j] for s in states[1:]], speeds)
+        require(abs(gain) < gains[mover], f"{what}: joint {j + 1} rests, but its valve is driven")
     for last in (there, states[-1]):
         _require_near(last, what)
 
@@ -246,17 +253,35 @@ def _require_near(last: State, what: str) -> None:
     require(off_m < NEAR_M and off_rad < NEAR_RAD, note)
 
 
+def _solved(rows: list[list[float]], right: list[float]) -> list[float]:
+    """x of rows · x = right; 0 where the rows leave it open."""
+    system = [[*row, r] for row, r in zip(rows, right, strict=True)]
+    size = len(rows)
+    for k in range(size):
+        best = max(range(k, size), key=lambda i: abs(system[i][k]))
+        system[k], system[best] = system[best], system[k]
+        if abs(system[k][k]) < 1e-9:
+            return [0.0] * size
+        for i in range(size):
+            factor = system[i][k] / system[k][k] if i != k else 0.0
+            system[i] = [a - factor * b for a, b in zip(system[i], system[k], strict=True)]
+    return [row[size] / row[k] for k, row in enumerate(system)]
+
+
 @case(595, "1.6", "each joint goes as its command and its valve say, and as its sign says", motion=True)
 def signs(peer: Peer) -> None:
     (here, *_), watch = watched(peer, Mode.STANDBY)
-    turns = []
+    turns: list[list[float]] = []
     for axis, goal in enumerate(_goals(here)):
         what = f"along axis {axis + 1}" if axis < 3 else f"about axis {axis - 2}"
         there = _way(watch, goal)
-        turns.append(np.subtract(there[-1].q_cmd, there[0].q_cmd))
+        turns.append([b - a for a, b in zip(there[0].q_cmd, there[-1].q_cmd, strict=True)])
         _require_driven([*there, *_way(watch, here)], there[-1], what)
-    # How far T moves along and about each axis per radian of each joint; 0 where the motions leave it open.
-    per_radian = np.linalg.pinv(np.array(turns), rcond=1e-6) * ([STEP_M] * 3 + [TURN_RAD] * 3)
+
+    def per_radian(axis: int) -> list[float]:
+        step = STEP_M if axis < 3 else TURN_RAD
+        return _solved(turns, [step if k == axis else 0.0 for k in range(6)])
+
     for axis, joint, name in ((UP, LIFT, "lift"), (UP, TILT, "tilt"), (ABOUT_UP, SLEW, "slew")):
-        acts = per_radian[joint, axis]
+        acts = per_radian(axis)[joint]
         require(acts > -ACTS, f"positive {name} moves T by {acts:.2f} per radian the other way")
