@@ -51,7 +51,11 @@ def calibration_row(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng([task["seed"], task["run"]])
     scene, taken, kept = simulated_session(rng)
     points = _repetitions(scene, task["repetitions"], rng)
-    found = _calibrations(taken, kept)
+    on_all = (Method.HORAUD, Method.DQCR, Method.ROBUST)
+    found = [
+        *((m.value, f"{KEPT} kept by hand", _solve(kept, m)) for m in Method),
+        *((m.value, f"all {TAKEN}", _solve(taken, m)) for m in on_all),
+    ]
     return {"entries": [[*key, np.round(_located_mm(points, X, scene.X), 5)] for *key, X in found]}
 
 
@@ -92,8 +96,7 @@ def _reported(X_BT: Array, rng: np.random.Generator) -> Array:
 
 def _project(X_CP: Array, points: Array) -> Array:
     p = points @ X_CP[:3, :3].T + X_CP[:3, 3]
-    pixels: Array = (p @ PAPER_K.T)[:, :2] / p[:, 2:]
-    return pixels
+    return np.asarray((p @ PAPER_K.T)[:, :2] / p[:, 2:])
 
 
 def _pose_of(points: Array, pixels: Array) -> Array:
@@ -106,15 +109,6 @@ def _pose_of(points: Array, pixels: Array) -> Array:
     return stacks.transform(
         np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel()
     )
-
-
-def _calibrations(taken: PosePairs, kept: PosePairs) -> list[tuple[str, str, Array]]:
-    """X of every method on the samples kept by hand, and of some on all samples too."""
-    on_all = (Method.HORAUD, Method.DQCR, Method.ROBUST)
-    return [
-        *((m.value, f"{KEPT} kept by hand", _solve(kept, m)) for m in Method),
-        *((m.value, f"all {TAKEN}", _solve(taken, m)) for m in on_all),
-    ]
 
 
 def _solve(pairs: PosePairs, method: Method) -> Array:
@@ -158,5 +152,4 @@ def _located_mm(points: list[_Points], X: Array, X_true: Array) -> Array:
 
 def _through(X_BT: Array, X: Array, points: Array) -> Array:
     inside = points @ X[:3, :3].T + X[:3, 3]
-    located: Array = (X_BT[:, :3, :3] @ inside[..., None])[..., 0] + X_BT[:, :3, 3]
-    return located
+    return np.asarray((X_BT[:, :3, :3] @ inside[..., None])[..., 0] + X_BT[:, :3, 3])

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from testbed.lockstep.simulated_measurements import PixelFrames, Sight
-from testbed.lockstep.world import VISION_CLOCK_NS, World
+from testbed.lockstep.world import VISION_CLOCK_NS
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.calibration.local_calibration import LocalCalibration
@@ -114,14 +113,17 @@ class TracedArm:
 def traced_arrays(arm: TracedArm, eyes: RememberingEyes, match: LocalCalibration | None) -> dict[str, Array]:
     """Everything as arrays: times in s of the simulation, places in m, angles in degrees, NaN unseen."""
     held = [s for s in eyes.path if s.X_C0C is not None]
+    samples, looks = (
+        np.array([_off(each) for each in seen]).reshape(-1, 2, 3) for seen in (eyes.samples, eyes.looks)
+    )
     arrays: dict[str, Any] = {
         "time_s": [_seconds(s.time_ns) for s in eyes.samples],
         "p_BT": [s.X_BT[:3, 3] for s in eyes.samples],
-        "error_m": [_error_m(s) for s in eyes.samples],
-        "turn_deg": [_turn_deg(s) for s in eyes.samples],
+        "error_m": samples[:, 0],
+        "turn_deg": samples[:, 1],
         "look_s": [_seconds(look.time_ns) for look in eyes.looks],
-        "look_error_m": [_error_m(look) for look in eyes.looks],
-        "look_turn_deg": [_turn_deg(look) for look in eyes.looks],
+        "look_error_m": looks[:, 0],
+        "look_turn_deg": looks[:, 1],
         "input_s": [_seconds(time_ns) for time_ns, _ in arm.inputs],
         "path_p_BT": [s.X_BT[:3, 3] for s in held or eyes.path],
         "path_p_C0C": [s.X_C0C[:3, 3] for s in held if s.X_C0C is not None],
@@ -132,18 +134,11 @@ def traced_arrays(arm: TracedArm, eyes: RememberingEyes, match: LocalCalibration
     return {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
-def _error_m(seen: Any) -> Array:
-    """From tool marker to object (3,), C axes, of a look or a sample."""
+def _off(seen: Any) -> Array:
+    """From tool marker to object (2, 3), of a look or a sample: m in C axes, and Euler angles in degrees."""
     if seen.X_CM is None or seen.X_CO is None:
-        return np.full(3, np.nan)
-    error: Array = seen.X_CO[:3, 3] - seen.X_CM[:3, 3]
-    return error
-
-
-def _turn_deg(seen: Any) -> Array:
-    if seen.X_CM is None or seen.X_CO is None:
-        return np.full(3, np.nan)
-    return np.degrees(orientation_error(seen))
+        return np.full((2, 3), np.nan)
+    return np.array([seen.X_CO[:3, 3] - seen.X_CM[:3, 3], np.degrees(orientation_error(seen))])
 
 
 def _seconds(vision_ns: int) -> float:
@@ -152,11 +147,6 @@ def _seconds(vision_ns: int) -> float:
 
 _COVARIANCE = np.diag([0.005**2] * 3 + [0.02**2] * 3)  # the same for every pose: frames are averaged evenly
 _NO_BIAS = np.zeros((6, 6))
-
-
-def opencv_sight(world: World) -> Sight:
-    """The paper's eyes on ``world``."""
-    return Sight(PixelFrames(world), OpencvSensor(world.settings.vision))
 
 
 class OpencvSensor:

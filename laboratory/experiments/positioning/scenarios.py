@@ -125,12 +125,18 @@ def _scene(rng: np.random.Generator, pose: _Pose) -> JSON:
     return {
         "seed": int(rng.integers(2**31)),
         "wall": {"texture_seed": int(rng.integers(2**31))},
-        "mount": {"position_m": pose.X_TC[:3, 3].tolist(), "rotation_deg": _vector_deg(pose.X_TC[:3, :3])},
+        "mount": {
+            "position_m": pose.X_TC[:3, 3].tolist(),
+            "rotation_deg": np.degrees(log_so3(pose.X_TC[:3, :3])).tolist(),
+        },
         "tool_marker": {
             "misalignment_deg": np.degrees(_ball(rng, math.radians(1.5))).tolist(),
             "offset_m": _ball(rng, 0.002).tolist(),
         },
-        "object_of_interest": {"position_m": pose.X_WO[:3, 3].tolist(), "tilt_deg": _vector_deg(tilt)},
+        "object_of_interest": {
+            "position_m": pose.X_WO[:3, 3].tolist(),
+            "tilt_deg": np.degrees(log_so3(tilt)).tolist(),
+        },
         "camera": {
             "rectification": {
                 "disparity_px": rng.uniform(-0.5, 0.5),
@@ -141,27 +147,20 @@ def _scene(rng: np.random.Generator, pose: _Pose) -> JSON:
 
 
 def _plant(rng: np.random.Generator, pose: _Pose) -> JSON:
-    def offset_mm() -> list[float]:
-        return [float(value) for value in _ball(rng, 3.0)]
-
     return {
         "start_pose_deg": pose.start_deg,
         "payload": {"mass_kg": rng.uniform(0.0, 150.0)},
         "errors": {
             "encoder_offsets": {"mrad": rng.uniform(-5.0, 5.0, 6).tolist()},
             "geometry": {
-                "lift": {"offset_mm": offset_mm()},
-                "tilt": {"offset_mm": offset_mm()},
-                "wrist1": {"offset_mm": offset_mm()},
-                "tool": {"tilt_mrad": offset_mm()},
+                "lift": {"offset_mm": _ball(rng, 3.0).tolist()},
+                "tilt": {"offset_mm": _ball(rng, 3.0).tolist()},
+                "wrist1": {"offset_mm": _ball(rng, 3.0).tolist()},
+                "tool": {"tilt_mrad": _ball(rng, 3.0).tolist()},
             },
             "base_tilt": {"x_mrad": rng.uniform(-5.0, 5.0), "y_mrad": rng.uniform(-5.0, 5.0)},
         },
     }
-
-
-def _vector_deg(R: Array) -> list[float]:
-    return [float(value) for value in np.degrees(log_so3(R))]
 
 
 def _goal(pose: _Pose, X_TM: Array) -> tuple[Array, Array]:
