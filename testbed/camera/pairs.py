@@ -1,7 +1,6 @@
 """Pairs of pictures of a stereo camera: read from directories, or rendered by the emulation."""
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -97,20 +96,14 @@ def _film(path: Path, most: int) -> list[StereoPair]:
     try:
         if not film.isOpened():
             raise ConfigurationError("configuration.bad_recording", f"{path}: no film that can be decoded")
-        return _spread(list(_decode_film(film, str(path))), most)
+        pictures = iter(film.read, (False, None))
+        pairs = [
+            StereoPair(*halves(np.asarray(picture, dtype=np.uint8), str(path)), 0, number)
+            for number, (_, picture) in enumerate(pictures, 1)
+        ]
     finally:
         film.release()
-
-
-def _decode_film(film: cv2.VideoCapture, path: str) -> Iterator[StereoPair]:
-    number = 0
-    while True:
-        taken, picture = film.read()
-        if not taken:
-            return
-        number += 1
-        left, right = halves(np.asarray(picture, dtype=np.uint8), path)
-        yield StereoPair(left, right, 0, number)
+    return _spread(pairs, most)
 
 
 async def _live(settings: CameraSettings, most: int) -> list[StereoPair]:

@@ -133,10 +133,10 @@ def judgement_lines(judgement: Judgement) -> list[tuple[str, str]]:
 
 def sample_table(result: HandEyeResult) -> Table:
     """Residuals by sample, in the camera's axes."""
-    rows = []
-    for name, r, inlier in zip(result.names, result.residuals, result.inliers, strict=True):
-        shift, turn = 1e3 * float(np.linalg.norm(r[:3])), math.degrees(float(np.linalg.norm(r[3:])))
-        rows.append((name, f"{shift:.3f}", f"{turn:.4f}", "" if inlier else "left out"))
+    rows = [
+        (s["name"], f"{s['residual_mm']:.3f}", f"{s['residual_deg']:.4f}", "" if s["used"] else "left out")
+        for s in result_json(result)["samples"]
+    ]
     return table("residuals by sample", ("sample", "mm", "deg", ""), rows)
 
 
