@@ -148,16 +148,6 @@ def test_a_bad_document_is_refused(tmp_path: Path, data: Any, cause: str) -> Non
     assert caught.value.cause == f"refused.hand_eye.{cause}"
 
 
-def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RequestRefused, match="No such file") as caught:
-        load(tmp_path / "absent.json")
-    assert caught.value.cause == "refused.hand_eye.unreadable"
-    broken = tmp_path / "broken.json"
-    broken.write_text("{", encoding="utf-8")
-    with pytest.raises(RequestRefused, match=r"broken\.json: not JSON"):
-        load(broken)
-
-
 def test_corners_travel_with_their_samples(tmp_path: Path, scene: HandEyeScene) -> None:
     data = document(scene)
     data |= {

@@ -129,9 +129,3 @@ def test_markers_that_opencv_sees_and_cannot_read_are_read() -> None:
     for marker in found:
         assert marker.method == "cells"
         assert np.abs(marker.corners - picture.corners[marker.number]).max() < 0.4
-
-
-def test_only_wanted_numbers_are_told() -> None:
-    picture = picture_of(MarkerAspect(14.0))
-    expected = frozenset([marker.number for marker in search(picture.image, FAMILY).markers][:2])
-    assert {marker.number for marker in search(picture.image, FAMILY, expected).markers} == expected
