@@ -10,24 +10,14 @@ from numpy.typing import NDArray
 
 from foundation.recording.contents import contents
 from foundation.recording.decoding import messages
-from foundation.recording.messages import fields_of
 from plant_emulator.shell.truth_message import truth_of
 from plant_emulator.shell.truth_recorder import (
     CAPTURE,
-    EVENT,
     FAULT,
     TRUTH,
     FaultMessage,
     TruthRecord,
 )
-
-
-class EventRecord(NamedTuple):
-    """One recorded event."""
-
-    log_ns: int
-    time_ns: int
-    fields: dict[str, Any]
 
 
 class FaultRecord(NamedTuple):
@@ -55,7 +45,6 @@ class Recording(NamedTuple):
 
     truths: tuple[TruthRecord, ...]
     faults: tuple[FaultRecord, ...]
-    events: tuple[EventRecord, ...]
     run: dict[str, Any]
     complete: bool
 
@@ -75,19 +64,16 @@ def read_truth(path: Path) -> Recording:
     """
     truths: list[TruthRecord] = []
     faults: dict[int, FaultRecord] = {}
-    events: list[EventRecord] = []
-    for topic, record in messages(path, (FAULT, EVENT, TRUTH, CAPTURE)):
+    for topic, record in messages(path, (FAULT, TRUTH, CAPTURE)):
         if topic == FAULT:
             change = _change(record.data)
             faults[change["number"]] = _further(faults.get(change["number"]), change, record.log_time)
-        elif topic == EVENT:
-            events.append(EventRecord(record.log_time, record.publish_time, fields_of(record.data)))
         else:
             truth, frame_id, motion = truth_of(record.data)
             truths.append(TruthRecord(record.log_time, frame_id, truth, motion=motion))
     known = contents(path)
     run = json.loads(known.metadata.get("run", {}).get("configuration", "{}"))
-    return Recording(tuple(truths), tuple(faults.values()), tuple(events), run, known.complete)
+    return Recording(tuple(truths), tuple(faults.values()), run, known.complete)
 
 
 def _change(data: bytes) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -119,18 +119,13 @@ def _solve(pairs: PosePairs, method: Method) -> Array:
         return np.full((4, 4), np.nan)
 
 
-class _Points(NamedTuple):
-    """For each repetition: the hand's true and reported pose, the point in the camera and its truth."""
-
-    X_BT: Array
-    X_BT_reported: Array
-    measured: Array
-    true: Array
+_Points = tuple[Array, Array, Array, Array]
+"""For each repetition: the hand's true and reported pose, the point in the camera and its truth."""
 
 
 def _repetitions(scene: HandEyeScene, repetitions: int, rng: np.random.Generator) -> list[_Points]:
     """The targets' points as seen from ``repetitions`` poses around the calibrated ones."""
-    found = []
+    found: list[_Points] = []
     for offset in TARGETS:
         start = scene.X_BT[rng.integers(len(scene.X_BT), size=repetitions)]
         wander = stacks.exp_so3(rng.normal(size=(repetitions, 3)) * math.radians(5.0))
@@ -140,13 +135,16 @@ def _repetitions(scene: HandEyeScene, repetitions: int, rng: np.random.Generator
         reported = _reported(X_BT, rng)
         in_base = scene.Z @ np.append(offset, 1.0)
         true = (stacks.inverse(X_BT @ scene.X) @ in_base)[:, :3]
-        found.append(_Points(X_BT, reported, true + rng.normal(size=true.shape) * POINT_M, true))
+        found.append((X_BT, reported, true + rng.normal(size=true.shape) * POINT_M, true))
     return found
 
 
 def _located_mm(points: list[_Points], X: Array, X_true: Array) -> Array:
     """Errors (targets, repetitions) of the whole chain, mm."""
-    offs = [_through(p.X_BT_reported, X, p.measured) - _through(p.X_BT, X_true, p.true) for p in points]
+    offs = [
+        _through(reported, X, measured) - _through(X_BT, X_true, true)
+        for X_BT, reported, measured, true in points
+    ]
     return np.asarray(1e3 * np.linalg.norm(offs, axis=-1))
 
 
