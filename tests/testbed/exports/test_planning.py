@@ -108,7 +108,6 @@ def test_mujoco_reads_shapes_and_masses_and_lets_the_arm_fall(tmp_path: Path) ->
 def test_ros2_control_finds_every_joint_and_the_bridges_topics(settings: Settings) -> None:
     root = etree.fromstring(urdf(for_planning(nominal_tree(settings.arm), settings)).encode())
     block = root.find("ros2_control")
-    assert block is not None
     assert [one.get("name") for one in block.findall("joint")] == list(JOINT_NAMES)
     said = {one.get("name"): one.text for one in block.iter("param")}
     assert said["trigger_joint_command_threshold"] == "-1", "a command that holds is sent too"

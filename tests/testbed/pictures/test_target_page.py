@@ -31,7 +31,6 @@ def page_of(pdf: Path) -> tuple[Array, list[Array]]:
     """The page's size in mm, and its filled rectangles (n, 4) x, y, width, height from the upper left."""
     data = pdf.read_bytes()
     box = re.search(rb"/MediaBox \[([^\]]*)\]", data)
-    assert box is not None
     size = np.array([float(number) for number in box[1].split()[2:]])
     paths = []
     for stream in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", data, re.DOTALL):
