@@ -149,7 +149,7 @@ def board_pairs(scene: SceneConfig, board: Checkerboard | Charuco, count: int, s
     """``count`` pairs of ``board``, whole in both eyes of the scene's camera, in places and tilts drawn by
     ``seed``.
     """
-    config = scene.model_copy(update={"boards": (_config(board),), "passers": ()})
+    config = scene.model_copy(update={"boards": (board_config(board),), "passers": ()})
     eyes = StereoCamera(config.camera, Scene(config), seed)
     rng = np.random.default_rng([seed, 0x626F61])
     X_WP = eyes.scene.mounts.X_WO @ board_pose(config.boards[0])
@@ -201,7 +201,8 @@ def _view(eyes: StereoCamera, board: Checkerboard | Charuco, X_WP: Array, rng: n
     raise ConfigurationError("configuration.bad_board", "the board does not fit into both pictures")
 
 
-def _config(board: Checkerboard | Charuco) -> AnyBoardConfig:
+def board_config(board: Checkerboard | Charuco) -> AnyBoardConfig:
+    """The emulator's description of ``board``, 5 cm before the wall's middle. Raises ConfigurationError."""
     where = {
         "position_m": (0.0, 0.0, 0.05),
         "columns": board.columns,

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from protocol.errors import MeasurementFailed
 from testbed.reporting.console import Columns, listed, table
+from vision_pc.application.results import pose_json
 from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.samples import PosePairs
@@ -21,19 +22,13 @@ from vision_pc.core.perception.zhang_intrinsics import Intrinsics
 from vision_pc.core.se3 import Array
 
 
-def pose_json(X: Array) -> dict[str, Any]:
-    """A pose for JSON: position, quaternion and matrix."""
-    pose = se3.to_pose(X)
-    return {"p_m": pose.p_m, "q_wxyz": pose.q_wxyz, "matrix": X}
-
-
 def result_json(result: HandEyeResult) -> dict[str, Any]:
     """All of a calibration for JSON; angles in degrees, residuals in mm and degrees."""
     results: dict[str, Any] = {
         "method": result.method,
         "setup": result.setup.value,
-        "X": pose_json(result.X),
-        "Z": pose_json(result.Z),
+        "X": pose_json(result.X) | {"matrix": result.X},
+        "Z": pose_json(result.Z) | {"matrix": result.Z},
         "observability": {
             "samples": result.observability.samples,
             "largest_rotation_deg": math.degrees(result.observability.largest_rotation),

@@ -109,8 +109,7 @@ def run(program: Coroutine[Any, Any, T]) -> T:
     try:
         program.send(None)
     except StopIteration as done:
-        result: T = done.value
-        return result
+        return done.value
     raise RuntimeError("a program in lockstep waited for something outside of simulated time")
 
 

@@ -58,11 +58,12 @@ def bench(config_dir: Path, task: Row, *, traces: bool = False) -> Bench:
         seen = eyes_with(world, Sight(PixelFrames(world), OpencvSensor(settings.vision)))
     elif task["eyes"] == "model":
         seen = eyes_with(world, simulated_sight(world, load_eye_model(config_dir), task["seed"]))
-    eyes, arm = RememberingEyes(seen, traces=traces), LinkArm(world.link, settings.vision.motion)
+    eyes, motion = RememberingEyes(seen, traces=traces), settings.vision.motion
+    arm = TracedArm(world.link, motion, eyes) if traces else LinkArm(world.link, motion)
     world.connect()
     run(world.link.command(CommandCode.ENABLE))
     run(world.link.next_state())
-    return Bench(world, TracedArm(arm, eyes) if traces else arm, eyes)
+    return Bench(world, arm, eyes)
 
 
 def measure(config_dir: Path, task: Row) -> Row:

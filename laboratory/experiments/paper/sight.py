@@ -1,7 +1,7 @@
 """What a measured run is seen with: markers by OpenCV alone, and where each error arises."""
 
 from collections.abc import AsyncIterator, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from testbed.lockstep.world import VISION_CLOCK_NS
-from vision_pc.config.vision import MarkerSettings, VisionConfig
+from vision_pc.application.link_arm import LinkArm
+from vision_pc.application.reference_link import ReferenceLink
+from vision_pc.config.vision import MarkerSettings, MotionSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import orientation_error
@@ -19,7 +21,7 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.perception.object_of_interest import marker_in_object
 from vision_pc.core.pixel_sensor import PixelSensor
-from vision_pc.core.ports import Arm, ArmView, Eyes, ReferenceStream, Watch
+from vision_pc.core.ports import ArmView, Eyes, Watch
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
     CameraErrors,
@@ -70,23 +72,20 @@ class RememberingEyes:
         self.path = watch.samples
 
 
-class TracedArm:
-    """Implements ``Arm``: notes its ``inputs`` (time ns, corners (n, 3) in B), and watches every motion."""
+class TracedArm(LinkArm):
+    """Notes its ``inputs`` (time ns, corners (n, 3) in B), and watches every motion."""
 
-    def __init__(self, arm: Arm, eyes: RememberingEyes) -> None:
-        self._arm, self._eyes = arm, eyes
+    def __init__(self, link: ReferenceLink, settings: MotionSettings, eyes: RememberingEyes) -> None:
+        super().__init__(link, settings)
+        self._eyes = eyes
         self.inputs: list[tuple[int, Array]] = []
-
-    async def view(self) -> ArmView:
-        """The arm's view."""
-        return await self._arm.view()
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
         """A motion of the arm, watched."""
         await self._note([X_BT_ref])
         path = self._eyes.path
         async with self._eyes.watch(markers=True, odometry=False):
-            arrived = await self._arm.move_to(X_BT_ref, duration_s)
+            arrived = await super().move_to(X_BT_ref, duration_s)
         self._eyes.path = path
         return arrived
 
@@ -95,18 +94,10 @@ class TracedArm:
     ) -> ArmView:
         """A path of the arm."""
         await self._note(waypoints)
-        return await self._arm.follow(waypoints, segment_s, dwell_s)
-
-    def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
-        """A stream of the arm."""
-        return self._arm.streaming()
-
-    async def stop(self) -> None:
-        """Stop the arm."""
-        await self._arm.stop()
+        return await super().follow(waypoints, segment_s, dwell_s)
 
     async def _note(self, waypoints: Sequence[Array]) -> None:
-        view = await self._arm.view()
+        view = await self.view()
         self.inputs.append((view.time_ns, np.array([X[:3, 3] for X in (view.X_BT, *waypoints)])))
 
 

@@ -186,17 +186,13 @@ def _goals(pose: _Pose, leg_m: float, unturned: Array | None) -> list[Array]:
 
 def _can_reach(pose: _Pose, arm: NominalArm, goals: list[Array]) -> bool:
     table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
-    limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
+    low, high = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints]).T
+    least, most = np.transpose([arm.workspace.x_m, arm.workspace.y_m, arm.workspace.z_m])
     for X in goals:
         verdict, q, _, _ = joint_angles(table, X[:3, :3].copy(), X[:3, 3].copy(), branch)
-        if verdict != REACHED or np.any(q < limits[:, 0] + _JOINT_MARGIN):
+        turns = np.all((q >= low + _JOINT_MARGIN) & (q <= high - _JOINT_MARGIN)) and abs(q[4]) >= _WRIST_BENT
+        if verdict != REACHED or not turns or not np.all((least + 0.1 < X[:3, 3]) & (X[:3, 3] < most - 0.1)):
             return False
-        if np.any(q > limits[:, 1] - _JOINT_MARGIN) or abs(q[4]) < _WRIST_BENT:
-            return False
-        box = arm.workspace
-        for value, (low, high) in zip(X[:3, 3], (box.x_m, box.y_m, box.z_m), strict=True):
-            if not low + 0.1 < value < high - 0.1:
-                return False
     # what bends downwards must still be within the boom's reach
     stretched = goals[-1].copy()
     stretched[:3, 3] += 0.1 * stretched[:3, 3] / np.linalg.norm(stretched[:3, 3])

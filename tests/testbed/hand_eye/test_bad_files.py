@@ -14,6 +14,7 @@ from laboratory.experiments.hand_eye import scenes
 from protocol.errors import LongreachError
 from testbed.hand_eye.importer import FORMAT, load
 from tests.support.commands import ran
+from tests.testbed.hand_eye.test_hand_eye_files import saved
 from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import judgement
@@ -137,8 +138,7 @@ def test_a_bad_file_is_answered_rightly(bad: BadFile, tmp_path: Path) -> None:
 
 
 def test_the_good_file_they_are_made_of_is_good(tmp_path: Path) -> None:
-    file = tmp_path / "samples.json"
-    file.write_text(json.dumps(good_file(8, 1)), encoding="utf-8")
+    file = saved(tmp_path, good_file(8, 1))
     shown = ran("hand-eye", "solve", file, "--json", tmp_path / "x.json").output
     assert "verdict: good" in shown
     figures = json.loads((tmp_path / "x.json").read_text())
@@ -153,8 +153,7 @@ def test_the_good_file_they_are_made_of_is_good(tmp_path: Path) -> None:
 def test_a_refused_file_gives_its_number_only_as_given(tmp_path: Path) -> None:
     good = good_file(8, 1)
     good["setup"] = "eye-to-hand"
-    file = tmp_path / "samples.json"
-    file.write_text(json.dumps(good), encoding="utf-8")
+    file = saved(tmp_path, good)
     assert "residuals" not in ran("hand-eye", "solve", file, status=2).output
     told = ran("hand-eye", "solve", file, "--as-given").output
     assert "verdict: refused" in told
@@ -167,8 +166,7 @@ def test_a_questioned_file_gives_its_number_and_status_1(tmp_path: Path) -> None
     for sample in good["samples"]:
         for row in sample["camera"][:3]:
             row[3] *= 1.03
-    file = tmp_path / "samples.json"
-    file.write_text(json.dumps(good), encoding="utf-8")
+    file = saved(tmp_path, good)
     questioned = ran("hand-eye", "solve", file, status=1).output
     assert "verdict: questioned" in questioned
     assert "residuals" in questioned
