@@ -301,7 +301,7 @@ def _views(quad: Array) -> tuple[Array, Array, Array]:
         tried = quad.copy()
         tried[k // 2, k % 2] += _STEP_PX
         by_corner[k] = (_homography(tried) - H).ravel() / _STEP_PX
-    return H, np.linalg.inv(H), by_corner
+    return H, np.asarray(np.linalg.inv(H), dtype=np.float64), by_corner
 
 
 @kernel(nogil=True, error_model="numpy")
