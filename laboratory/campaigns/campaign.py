@@ -101,7 +101,8 @@ def run_campaign(
         raise ConfigurationError("output.unwritable", f"{request.out}: {error.strerror}") from error
     path = request.out / "rows.csv"
     rows = read_rows(path)
-    there = set() if request.fresh else {_name(row) for row in rows if _is_conclusive(row)}
+    conclusive = [row for row in rows if not str(row.get("failure") or "").startswith(AGAIN)]
+    there = set() if request.fresh else {_name(row) for row in conclusive}
     to_do = {name: task for name, task in zip(names, tasks, strict=True) if name not in there}
     counts = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
     out.print(counts, style="dim", highlight=False, soft_wrap=True)
@@ -143,7 +144,3 @@ def _on_same_evidence(run: Run, config_dir: Path, wanted: Mapping[str, Any], tas
     if other := [name for name in wanted if wanted[name] != here[name]]:
         raise LinkLost(f"{AGAIN}other_worker", f"the worker's {', '.join(other)} are not those of the client")
     return run(config_dir, task)
-
-
-def _is_conclusive(row: Row) -> bool:
-    return not str(row.get("failure") or "").startswith(AGAIN)

@@ -14,8 +14,9 @@ from vision_pc.config.choices import LensModel
 from vision_pc.config.stereo_camera import COEFFICIENTS, StereoCalibration
 from vision_pc.core.perception import stereo_fit
 from vision_pc.core.perception.april_grid import Board
-from vision_pc.core.perception.rectification import geometry, rectified_camera
+from vision_pc.core.perception.rectification import RawLens, geometry, rectified_camera
 from vision_pc.core.perception.stereo_fit import PairView, StereoFit
+from vision_pc.core.se3 import Array
 
 _ROWS_PX = 0.5  # [D] rms of the corners' rows after rectification, a quarter of what odometry takes
 
@@ -63,16 +64,15 @@ def _guide(views: list[PairView], size: tuple[int, int]) -> None:
 def rectified_rows(calibration: StereoCalibration, views: list[PairView]) -> float:
     """How far the rectified rows of the same corners are apart, rms px."""
     known = geometry(calibration)
-    apart = []
-    for view in views:
-        rows = []
-        for pixels, lens, R in (
-            (view.left, known.left, known.R_left),
-            (view.right, known.right, known.R_right),
-        ):
-            rays = np.column_stack([lens.undistorted(pixels), np.ones(len(pixels))]) @ R.T
-            rows.append(known.K[1, 1] * rays[:, 1] / rays[:, 2])
-        apart.append(rows[1] - rows[0])
+
+    def rows(pixels: Array, lens: RawLens, R: Array) -> Array:
+        rays = np.column_stack([lens.undistorted(pixels), np.ones(len(pixels))]) @ R.T
+        return np.asarray(known.K[1, 1] * rays[:, 1] / rays[:, 2])
+
+    apart = [
+        rows(view.right, known.right, known.R_right) - rows(view.left, known.left, known.R_left)
+        for view in views
+    ]
     return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
 
 

@@ -123,27 +123,26 @@ def run_check(
         ),
     ]
     how = f"rectified by {known.source}" if isinstance(known, StereoCalibration) else "taken for rectified"
-    _show(f"{source}: {len(taken.pairs)} pairs, {how}", found, rows)
-    good = all(f.good for f in found)
-    write_json(json_file, figures(found, rows, good))
+    good = _show(f"{source}: {len(taken.pairs)} pairs, {how}", found, rows)
+    findings = [f._asdict() for f in found]
+    write_json(json_file, {"good": good, "findings": findings, "rows": rows._asdict() if rows else None})
     return good
 
 
-def _show(title: str, found: Sequence[CameraFinding], rows: RowReport | None) -> None:
+def _show(title: str, found: Sequence[CameraFinding], rows: RowReport | None) -> bool:
+    """Whether all is good; each finding is printed, and the rows by place."""
     cells = [
         [f.what, f.found, f.wanted, "good" if f.good else "BAD", "" if f.good else f.advice] for f in found
     ]
     out.print(table(title, ("what", "found", "wanted", "verdict", "what to do"), cells))
     if rows is not None:
+        places = [[f"{px:+.2f}" if np.isfinite(px) else "–" for px in row] for row in rows.cells_px]
         out.print(table("rows of the right eye below the left's, px, by place in the picture",
-                        ("left", "", "", "right"), cells_of(rows)))  # fmt: skip
-    good = all(f.good for f in found)
+                        ("left", "", "", "right"), places))  # fmt: skip
     bad = ", ".join(f.what for f in found if not f.good)
-    out.print(
-        f"verdict: {'good' if good else 'BAD: ' + bad}",
-        style="green" if good else "bold red",
-        highlight=False,
-    )
+    verdict, style = (f"BAD: {bad}", "bold red") if bad else ("good", "green")
+    out.print(f"verdict: {verdict}", style=style, highlight=False)
+    return not bad
 
 
 PLAIN = PinholePair.model_validate(
@@ -151,16 +150,6 @@ PLAIN = PinholePair.model_validate(
     | {"baseline_m": 0.1}
 )
 """Stands for "no rectification" while pairs are taken; no number of it is used."""
-
-
-def figures(found: Sequence[CameraFinding], rows: RowReport | None, good: bool) -> dict[str, Any]:
-    """What is printed, for a file."""
-    return {"good": good, "findings": [f._asdict() for f in found], "rows": rows._asdict() if rows else None}
-
-
-def cells_of(rows: RowReport) -> list[list[str]]:
-    """The rows' medians by place, as shown; a dash where nothing was seen."""
-    return [[f"{value:+.2f}" if np.isfinite(value) else "–" for value in row] for row in rows.cells_px]
 
 
 def stamps(taken: Taken) -> list[CameraFinding]:

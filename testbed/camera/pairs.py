@@ -1,7 +1,6 @@
 """Pairs of pictures of a stereo camera: read from directories, or rendered by the emulation."""
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -97,20 +96,14 @@ def _film(path: Path, most: int) -> list[StereoPair]:
     try:
         if not film.isOpened():
             raise ConfigurationError("configuration.bad_recording", f"{path}: no film that can be decoded")
-        return _spread(list(_decode_film(film, str(path))), most)
+        pictures = iter(film.read, (False, None))
+        pairs = [
+            StereoPair(*halves(np.asarray(picture, dtype=np.uint8), str(path)), 0, number)
+            for number, (_, picture) in enumerate(pictures, 1)
+        ]
     finally:
         film.release()
-
-
-def _decode_film(film: cv2.VideoCapture, path: str) -> Iterator[StereoPair]:
-    number = 0
-    while True:
-        taken, picture = film.read()
-        if not taken:
-            return
-        number += 1
-        left, right = halves(np.asarray(picture, dtype=np.uint8), path)
-        yield StereoPair(left, right, 0, number)
+    return _spread(pairs, most)
 
 
 async def _live(settings: CameraSettings, most: int) -> list[StereoPair]:
@@ -156,7 +149,7 @@ def board_pairs(scene: SceneConfig, board: Checkerboard | Charuco, count: int, s
     """``count`` pairs of ``board``, whole in both eyes of the scene's camera, in places and tilts drawn by
     ``seed``.
     """
-    config = scene.model_copy(update={"boards": (_config(board),), "passers": ()})
+    config = scene.model_copy(update={"boards": (board_config(board),), "passers": ()})
     eyes = StereoCamera(config.camera, Scene(config), seed)
     rng = np.random.default_rng([seed, 0x626F61])
     X_WP = eyes.scene.mounts.X_WO @ board_pose(config.boards[0])
@@ -208,7 +201,8 @@ def _view(eyes: StereoCamera, board: Checkerboard | Charuco, X_WP: Array, rng: n
     raise ConfigurationError("configuration.bad_board", "the board does not fit into both pictures")
 
 
-def _config(board: Checkerboard | Charuco) -> AnyBoardConfig:
+def board_config(board: Checkerboard | Charuco) -> AnyBoardConfig:
+    """The emulator's description of ``board``, 5 cm before the wall's middle. Raises ConfigurationError."""
     where = {
         "position_m": (0.0, 0.0, 0.05),
         "columns": board.columns,

@@ -30,7 +30,7 @@ def excite_in_lockstep(
     reference link does not open.
     """
     world.connect()
-    if not world.connected:
+    if not world.link.connected:
         raise LinkLost("link.controller_missing", "the controller does not answer")
     controller, plan = world.controller.program, world.controller.program.plan
     assert plan is not None  # with_excitation

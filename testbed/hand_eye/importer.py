@@ -191,14 +191,12 @@ def _corners(data: Mapping[str, Any], pixels: list[Any], names: list[str]) -> Co
         )
     points = np.stack([numbers(point, 3, f"target_points_m {k}") for k, point in enumerate(points_m, 1)])
     K = numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
-    seen = np.full((len(names), len(points), 2), np.nan)
+    seen = np.empty((len(names), len(points), 2))
     for k, (name, value) in enumerate(zip(names, pixels, strict=True)):
         where = f"sample {name}: corners_px"
         if not isinstance(value, list) or len(value) != len(points):
             raise RequestRefused("refused.hand_eye.format", f"{where}: {len(points)} pixels are wanted")
-        for j, pixel in enumerate(value):
-            if pixel is not None:
-                seen[k, j] = numbers(pixel, 2, where)
+        seen[k] = [[np.nan] * 2 if pixel is None else numbers(pixel, 2, where) for pixel in value]
     given = data.get("distortion", [0.0] * 5)
     distortion = numbers(given, len(given) if isinstance(given, list) else 5, "distortion")
     return CornerViews(points, seen, K, distortion)

@@ -147,28 +147,20 @@ def alike(pairs: list[tuple[Path, Array]]) -> tuple[list[PosedPicture], list[str
 
 def sample_file(
     pictures: list[PosedPicture], camera: CameraFile, board: Board, setup: Setup
-) -> tuple[dict[str, Any], list[str]]:
-    """The content of the samples' file, and the names of pictures without a board.
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The content of the samples' file, and the names of pictures without a board; all are of one size.
 
     Raises RequestRefused (``refused.hand_eye.count``) where fewer than three boards are left, or
     ``refused.board.counts`` where the pictures show another one.
     """
     target = board.all_points_m() if isinstance(board, AprilGrid) else zhang.board_points(board)
-    samples, missed, views = [], [], []
-    for path, image, X_BT in pictures:
-        if camera.size is not None and image.shape != camera.size[::-1]:
-            shape = f"{image.shape[1]}x{image.shape[0]}"
-            why = f"{path.name}: {shape} px, the calibration is of {camera.size[0]}x{camera.size[1]}"
-            raise RequestRefused("refused.hand_eye.sizes", why)
-        try:
-            view = find_board(image, board, path.name)
-        except MeasurementFailed:
-            missed.append(path.name)
-            continue
-        views.append(view)
-        samples.append(
-            _sample(view._replace(pixels=camera.straight(view.pixels)), path, X_BT, camera, target)
-        )
+    height, width = pictures[0].image.shape
+    if camera.size not in (None, (width, height)):
+        why = f"{width}x{height} px, the calibration is of {camera.size[0]}x{camera.size[1]}"
+        raise RequestRefused("refused.hand_eye.sizes", f"{pictures[0].path.name}: {why}")
+    posed = {one.path.name: one for one in pictures}
+    views, missed = detect([(name, one.image) for name, one in posed.items()], board)
+    samples = [_sample(view, posed[view.name], camera, target) for view in views]
     noted(second_finders(views))
     question([one.image for one in pictures], board, len(samples))
     if len(samples) < _LEAST:
@@ -184,15 +176,16 @@ def sample_file(
     return content, missed
 
 
-def _sample(view: BoardView, path: Path, X_BT: Array, camera: CameraFile, target: Array) -> dict[str, Any]:
+def _sample(view: BoardView, posed: PosedPicture, camera: CameraFile, target: Array) -> dict[str, Any]:
     """A picture's entry."""
+    view = view._replace(pixels=camera.straight(view.pixels))
     seen = {
         tuple(np.round(point, 9)): pixel
         for point, pixel in zip(view.points_m, view.pixels.tolist(), strict=True)
     }
     return {
-        "name": path.stem,
-        "hand": X_BT.tolist(),
+        "name": posed.path.stem,
+        "hand": posed.X_BT.tolist(),
         "camera": _pose(view, camera).tolist(),
         "corners_px": [seen.get(tuple(np.round(point, 9))) for point in target],
     }
@@ -206,7 +199,7 @@ def _pose(view: BoardView, camera: CameraFile) -> Array:
     return se3.transform(cv2.Rodrigues(turn)[0], place.ravel())
 
 
-def write_samples(content: dict[str, Any], missed: list[str], to: Path) -> None:
+def write_samples(content: dict[str, Any], missed: Sequence[str], to: Path) -> None:
     """Write the file and say what was left out. Raises OSError."""
     noted([f"no board in {', '.join(missed)}"] if missed else [])
     to.write_text(json.dumps(content, indent=1), encoding="utf-8")

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from protocol.errors import MeasurementFailed
 from testbed.reporting.console import Columns, listed, table
+from vision_pc.application.results import pose_json
 from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.samples import PosePairs
@@ -21,19 +22,13 @@ from vision_pc.core.perception.zhang_intrinsics import Intrinsics
 from vision_pc.core.se3 import Array
 
 
-def pose_json(X: Array) -> dict[str, Any]:
-    """A pose for JSON: position, quaternion and matrix."""
-    pose = se3.to_pose(X)
-    return {"p_m": pose.p_m, "q_wxyz": pose.q_wxyz, "matrix": X}
-
-
 def result_json(result: HandEyeResult) -> dict[str, Any]:
     """All of a calibration for JSON; angles in degrees, residuals in mm and degrees."""
     results: dict[str, Any] = {
         "method": result.method,
         "setup": result.setup.value,
-        "X": pose_json(result.X),
-        "Z": pose_json(result.Z),
+        "X": pose_json(result.X) | {"matrix": result.X},
+        "Z": pose_json(result.Z) | {"matrix": result.Z},
         "observability": {
             "samples": result.observability.samples,
             "largest_rotation_deg": math.degrees(result.observability.largest_rotation),
@@ -133,10 +128,10 @@ def judgement_lines(judgement: Judgement) -> list[tuple[str, str]]:
 
 def sample_table(result: HandEyeResult) -> Table:
     """Residuals by sample, in the camera's axes."""
-    rows = []
-    for name, r, inlier in zip(result.names, result.residuals, result.inliers, strict=True):
-        shift, turn = 1e3 * float(np.linalg.norm(r[:3])), math.degrees(float(np.linalg.norm(r[3:])))
-        rows.append((name, f"{shift:.3f}", f"{turn:.4f}", "" if inlier else "left out"))
+    rows = [
+        (s["name"], f"{s['residual_mm']:.3f}", f"{s['residual_deg']:.4f}", "" if s["used"] else "left out")
+        for s in result_json(result)["samples"]
+    ]
     return table("residuals by sample", ("sample", "mm", "deg", ""), rows)
 
 

@@ -11,7 +11,7 @@ from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import file_text
 from testbed.realtime.rest_rig import RestRig
-from testbed.reporting.console import bars, out, table, write_json
+from testbed.reporting.console import bars, noted, out, table, write_json
 from vision_pc.core.hand_eye.guided import session as sessions
 from vision_pc.core.perception.markers import corner_points
 
@@ -72,8 +72,7 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
         for r in answer["residuals"]
     ]
     out.print(table("residuals in the camera", ("sample", "mm", "°", ""), rows))
-    for note in answer["notes"]:
-        _say(f"note: {note}", "yellow")
+    noted(f"note: {note}" for note in answer["notes"])
     _say(answer["verdict"], "green" if answer["good"] else "bold red")
     write_json(json_file, answer)
     return bool(answer["good"])
@@ -136,8 +135,7 @@ class SessionClient(RestRig):
 
     def names(self) -> list[str]:
         """The sessions on the vision PC's disk."""
-        names: list[str] = self._ask("GET", "/hand-eye/sessions")["names"]
-        return names
+        return list(self._ask("GET", "/hand-eye/sessions")["names"])
 
     def resume(self, name: str) -> JSON:
         """A session from the disk, opened."""

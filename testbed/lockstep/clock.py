@@ -4,7 +4,6 @@ import hashlib
 import json
 import types
 from collections.abc import Awaitable, Callable, Coroutine, Generator
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from controller.core.scan import scan
@@ -71,16 +70,15 @@ class ClosedLoop:
 
     def command(self, code: CommandCode) -> Reason:
         """The answer to a command."""
-        self._ids += 1
-        return self.step(Command(self._ids, code)).acknowledgements[0].reason
+        return self.refer(lambda number: Command(number, code))
 
     def enable(self) -> None:
         """Enabled, or an assertion."""
         self.step()
         assert self.command(CommandCode.ENABLE) is Reason.ACCEPTED
 
-    def refer(self, make: Callable[[int], ReferencePose | ReferencePath]) -> Reason:
-        """The answer to the reference that ``make`` gives for a fresh command id."""
+    def refer(self, make: Callable[[int], Command | ReferencePose | ReferencePath]) -> Reason:
+        """The answer to the request that ``make`` gives for a fresh command id."""
         self._ids += 1
         return self.step(make(self._ids)).acknowledgements[0].reason
 
@@ -111,8 +109,7 @@ def run(program: Coroutine[Any, Any, T]) -> T:
     try:
         program.send(None)
     except StopIteration as done:
-        result: T = done.value
-        return result
+        return done.value
     raise RuntimeError("a program in lockstep waited for something outside of simulated time")
 
 
@@ -121,14 +118,6 @@ class _Wait(NamedTuple):
 
     happened: Callable[[], bool]
     until_ns: int
-
-
-@dataclass(eq=False)
-class _Work:
-    """A program in the background, and what it waits for."""
-
-    program: Coroutine[Any, Any, None]
-    wait: _Wait | None = None
 
 
 class LockstepClock:
@@ -140,7 +129,7 @@ class LockstepClock:
 
     def __init__(self, world: Stepped) -> None:
         self._world = world
-        self._works: list[_Work] = []
+        self._works: dict[Coroutine[Any, Any, None], _Wait] = {}
         self._in_background = False
 
     @property
@@ -158,8 +147,8 @@ class LockstepClock:
         if self._in_background:
             raise RuntimeError("only the foreground lets simulated time pass")
         self._world.step()
-        for work in list(self._works):
-            self._go_on(work)
+        for program in list(self._works):
+            self._go_on(program)
 
     def advance_until(self, happened: Callable[[], bool], timeout_s: float) -> bool:
         """Let cycles pass until ``happened()``. Return False when ``timeout_s`` have passed first."""
@@ -187,28 +176,26 @@ class LockstepClock:
 
     def start(self, program: Coroutine[Any, Any, None]) -> Callable[[], Awaitable[None]]:
         """Start ``program`` in the background: it runs at once, until it first waits. Return what ends it."""
-        work = _Work(program)
-        self._works.append(work)
-        self._go_on(work)
+        self._works[program] = _Wait(lambda: True, 0)
+        self._go_on(program)
 
         async def end() -> None:
             program.close()
-            if work in self._works:
-                self._works.remove(work)
+            self._works.pop(program, None)
 
         return end
 
-    def _go_on(self, work: _Work) -> None:
+    def _go_on(self, program: Coroutine[Any, Any, None]) -> None:
         """Run the program until it waits for what has not happened yet."""
         self._in_background = True
         try:
-            while work.wait is None or work.wait.happened() or self.now_ns >= work.wait.until_ns:
-                waits_for = work.program.send(None)
+            while self._works[program].happened() or self.now_ns >= self._works[program].until_ns:
+                waits_for = program.send(None)
                 if not isinstance(waits_for, _Wait):
                     raise RuntimeError("a program in lockstep waited for something outside of simulated time")
-                work.wait = waits_for
+                self._works[program] = waits_for
         except StopIteration:
-            self._works.remove(work)
+            del self._works[program]
         finally:
             self._in_background = False
 

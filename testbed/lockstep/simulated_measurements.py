@@ -156,8 +156,7 @@ def camera_eyes(world: World) -> CameraEyes:
 def eyes_with(world: World, sight: Sight) -> FrameEyes[Any]:
     """Eyes that look with ``sight``."""
     runtime = Runtime(world.clock, world.clock, world.clock)
-    look = world.settings.vision.look
-    return FrameEyes(sight.frames, sight.sensor, world.link, look, runtime, SimulatedTimeLog(world))
+    return FrameEyes(*sight, world.link, world.settings.vision.look, runtime, SimulatedTimeLog(world))
 
 
 _STREAM = 0x65796573  # the model's own random numbers
@@ -195,8 +194,7 @@ EyeCondition = Literal["usual", "harder"]
 def load_eye_model(config_dir: Path, condition: EyeCondition = "usual") -> EyeModelConfig:
     """The measured parameters. Raises ConfigurationError."""
     measured = load(EyeModelFile, config_dir / "eye_model.yaml")
-    found: EyeModelConfig = getattr(measured, condition)
-    return found
+    return measured.usual if condition == "usual" else measured.harder
 
 
 def simulated_sight(world: World, model: EyeModelConfig, seed: int) -> Sight:

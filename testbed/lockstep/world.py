@@ -155,14 +155,9 @@ class World:
                 group = GroupState(event.state.group_state).name
                 self.log.add(self.time_ns, "state", group=group, p_m=event.state.X_BT.p_m)
 
-    @property
-    def connected(self) -> bool:
-        """Return True if the reference link is open."""
-        return self.link.connected
-
     def connect(self) -> None:
         """Let time pass until the reference link is open, at most 5 s."""
-        self.clock.advance_until(lambda: self.connected, _CONNECT_S)
+        self.clock.advance_until(lambda: self.link.connected, _CONNECT_S)
 
     def record_in(self, path: Path, session: str) -> TruthRecorder:
         """Record the truth from now on in ``path``, in simulated time, until what is returned is closed.

@@ -105,11 +105,11 @@ def _marker_cells(family: cv2.aruco.Dictionary, number: int, side: float) -> Arr
     modules = family.markerSize + 2
     white = np.asarray(family.generateImageMarker(number, modules)) > 0
     module = side / modules
-    runs = []
-    for y, row in enumerate(white):
-        edges = np.flatnonzero(np.diff(np.concatenate([[1], row.astype(int), [1]])))
-        runs += [(a * module, y * module, (b - a) * module, module) for a, b in edges.reshape(-1, 2)]
-    return np.array(runs)
+    ends = np.argwhere(np.diff(np.pad(white, ((0, 0), (1, 1)), constant_values=True)))
+    starts, stops = ends[::2], ends[1::2, 1]
+    return np.array(
+        [(a * module, y * module, (b - a) * module, module) for (y, a), b in zip(starts, stops, strict=True)]
+    )
 
 
 PAPERS_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "letter": (215.9, 279.4)}  # [S] ISO 216, ANSI Y14.1
@@ -174,10 +174,8 @@ def run_target(shape: TargetShape, paper: str, size_mm: float, to: Path, json_fi
 def _draw(shape: TargetShape, page: Page, to: Path) -> None:
     width, height = page.size_mm
     figure = Figure(figsize=(width / _INCH_MM, height / _INCH_MM), frameon=False)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_xlim(0.0, width)
-    axes.set_ylim(height, 0.0)
-    axes.axis("off")
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, width), ylim=(height, 0.0))
+    axes.set_axis_off()
     _fill(axes, shape.cells + np.array([*page.corner_mm, 0.0, 0.0]))
     _fill(axes, _ruler(_MARGIN_MM + _LEFT_MM, height - _MARGIN_MM - 8.0))
     _fill(axes, _ruler(_MARGIN_MM, _MARGIN_MM)[:, [1, 0, 3, 2]])
@@ -192,10 +190,8 @@ def _draw(shape: TargetShape, page: Page, to: Path) -> None:
 
 def _ruler(x: float, y: float) -> Array:
     """A tick a millimetre from ``x`` on, downwards to ``y``, longer ones at 5 and 10."""
-    ticks = []
-    for k in range(_RULER_MM + 1):
-        length = 4.0 if k % 10 == 0 else 3.0 if k % 5 == 0 else 2.0
-        ticks.append((x + k - 0.05, y, 0.1, length))
+    lengths = [4.0 if k % 10 == 0 else 3.0 if k % 5 == 0 else 2.0 for k in range(_RULER_MM + 1)]
+    ticks = [(x + k - 0.05, y, 0.1, length) for k, length in enumerate(lengths)]
     return np.array([*ticks, (x, y - 0.05, float(_RULER_MM), 0.1)])
 
 

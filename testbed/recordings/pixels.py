@@ -1,7 +1,6 @@
 """The pictures of a recording: those that it holds, or the same rendered again from the plant's recording."""
 
 import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from plant_emulator.core.camera.exposures import STILL, CameraView, Capture, Exp
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.faults.kinds import FAULTS, Fault
-from testbed.recordings.plant_truth import FaultRecord, read_truth
+from testbed.recordings.plant_truth import read_truth
 
 Eyes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 
@@ -62,13 +61,14 @@ class RenderedPixels:
         recording = read_truth(truth)
         config = SceneConfig.model_validate(recording.run.get("scene", {}))
         ours = (record for record in recording.faults if record.fault.get("kind") in FAULTS)
-        faults = [(record, _fault(record.fault)) for record in ours]  # others act on no picture
+        read: TypeAdapter[Fault] = TypeAdapter(Fault)
+        faults = [(record, read.validate_python(record.fault)) for record in ours]  # others act on no picture
         exposures = Exposures(config.camera, config.seed)
         self._shots: dict[int, Shot] = {}
         for record in recording.truths:
             if record.frame_id is not None:
                 view = CameraView(record.truth.X_WC, record.truth.X_WM, record.truth.X_WO)
-                now = [fault for recorded, fault in faults if _in_force(recorded, record.truth.time_ns)]
+                now = [fault for recorded, fault in faults if recorded.in_force(record.truth.time_ns)]
                 if config.camera.shows_motion and record.motion is None:
                     why = f"{truth.name}: its camera shows motion within an exposure, which is not recorded"
                     raise RecordingUnreadable("recording.motion_not_recorded", why)
@@ -99,14 +99,3 @@ def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...
     stamped = (("left", stamp.crc_left, eyes[0]), ("right", stamp.crc_right, eyes[1]))
     found = ((name, crc, zlib.crc32(np.ascontiguousarray(picture).data)) for name, crc, picture in stamped)
     return tuple(each for each in found if each[1] != each[2])
-
-
-def _fault(recorded: Mapping[str, Any]) -> Fault:
-    found: Fault = TypeAdapter(Fault).validate_python(dict(recorded))
-    return found
-
-
-def _in_force(recorded: FaultRecord, time_ns: int) -> bool:
-    if recorded.began_ns is None or time_ns < recorded.began_ns:
-        return False
-    return recorded.ended_ns is None or time_ns < recorded.ended_ns

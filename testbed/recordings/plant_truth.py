@@ -6,28 +6,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.records import Channel, Footer, Message, Metadata
 from numpy.typing import NDArray
 
-from foundation.recording.decoding import walk
-from foundation.recording.messages import fields_of
+from foundation.recording.contents import contents
+from foundation.recording.decoding import messages
 from plant_emulator.shell.truth_message import truth_of
 from plant_emulator.shell.truth_recorder import (
     CAPTURE,
-    EVENT,
     FAULT,
     TRUTH,
     FaultMessage,
     TruthRecord,
 )
-
-
-class EventRecord(NamedTuple):
-    """One recorded event."""
-
-    log_ns: int
-    time_ns: int
-    fields: dict[str, Any]
 
 
 class FaultRecord(NamedTuple):
@@ -44,13 +34,17 @@ class FaultRecord(NamedTuple):
     began_ns: int | None
     ended_ns: int | None
 
+    def in_force(self, time_ns: int) -> bool:
+        """Whether it was in force at the simulated ``time_ns``."""
+        has_begun = self.began_ns is not None and self.began_ns <= time_ns
+        return has_begun and (self.ended_ns is None or time_ns < self.ended_ns)
+
 
 class Recording(NamedTuple):
     """What a recording holds, in order of writing. ``complete``: the file was closed, not cut off."""
 
     truths: tuple[TruthRecord, ...]
     faults: tuple[FaultRecord, ...]
-    events: tuple[EventRecord, ...]
     run: dict[str, Any]
     complete: bool
 
@@ -70,28 +64,16 @@ def read_truth(path: Path) -> Recording:
     """
     truths: list[TruthRecord] = []
     faults: dict[int, FaultRecord] = {}
-    events: list[EventRecord] = []
-    run: dict[str, Any] = {}
-    topics: dict[int, str] = {}
-    complete = False
-    with path.open("rb") as stream:
-        for record in walk(stream):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Metadata) and record.name == "run":
-                run = json.loads(record.metadata["configuration"])
-            elif isinstance(record, Message):
-                topic = topics.get(record.channel_id)
-                if topic == FAULT:
-                    change = _change(record.data)
-                    faults[change["number"]] = _further(faults.get(change["number"]), change, record.log_time)
-                elif topic == EVENT:
-                    events.append(EventRecord(record.log_time, record.publish_time, fields_of(record.data)))
-                elif topic in (TRUTH, CAPTURE):
-                    truth, frame_id, motion = truth_of(record.data)
-                    truths.append(TruthRecord(record.log_time, frame_id, truth, motion=motion))
-            complete = isinstance(record, Footer)
-    return Recording(tuple(truths), tuple(faults.values()), tuple(events), run, complete)
+    for topic, record in messages(path, (FAULT, TRUTH, CAPTURE)):
+        if topic == FAULT:
+            change = _change(record.data)
+            faults[change["number"]] = _further(faults.get(change["number"]), change, record.log_time)
+        else:
+            truth, frame_id, motion = truth_of(record.data)
+            truths.append(TruthRecord(record.log_time, frame_id, truth, motion=motion))
+    known = contents(path)
+    run = json.loads(known.metadata.get("run", {}).get("configuration", "{}"))
+    return Recording(tuple(truths), tuple(faults.values()), run, known.complete)
 
 
 def _change(data: bytes) -> dict[str, Any]:

@@ -5,11 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from mcap.records import Message, Metadata
-
 from foundation.configuration import validated
 from foundation.recording.beginning import session_entries
-from foundation.recording.decoding import RecordingUnreadable, walk
+from foundation.recording.contents import contents
+from foundation.recording.decoding import RecordingUnreadable
 from nominal_arm.description import NominalArm
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.recording import vision_recorder as topics
@@ -40,7 +39,7 @@ def recorded_vision(path: Path) -> RecordedVision:
 
     Raises OSError, RecordingUnreadable (``recording.not_vision``), ConfigurationError.
     """
-    metadata = metadata_of(path)
+    metadata = contents(path).metadata
     run = json.loads(metadata.get("run", {}).get("configuration", "{}"))
     if "vision" not in run:
         why = f"{path.name}: no recording of the vision PC, whose name is {topics.FILE}"
@@ -52,15 +51,3 @@ def recorded_vision(path: Path) -> RecordedVision:
     same = all(session.get(name) == value for name, value in here.items() if name not in ("id", "service"))
     pictured = session.get(topics.EYES) != topics.SIMULATED
     return RecordedVision(path, config, arm, session, run["vision"]["recording"]["images"], same, pictured)
-
-
-def metadata_of(path: Path) -> dict[str, dict[str, str]]:
-    """The metadata of the recording at ``path``, by name. Raises OSError, RecordingUnreadable."""
-    found: dict[str, dict[str, str]] = {}
-    with path.open("rb") as stream:
-        for record in walk(stream):
-            if isinstance(record, Metadata):
-                found[record.name] = record.metadata
-            elif isinstance(record, Message):
-                break
-    return found

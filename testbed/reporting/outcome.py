@@ -19,10 +19,6 @@ class Errors(NamedTuple):
     p_m: Array
     angle_rad: float
 
-    def within(self, limit_m: float) -> bool:
-        """Whether x and y are both inside ``limit_m``."""
-        return bool(np.all(np.abs(self.p_m[:2]) <= limit_m))
-
     @property
     def values(self) -> tuple[float, ...]:
         """x, y, z in mm and the angle in degrees."""
@@ -66,7 +62,7 @@ class Outcome(NamedTuple):
     def passed(self) -> bool:
         """Whether the true error in x and y is inside the limit after the last look."""
         last = self.after_look(self.looks)
-        return last is not None and last.true.within(LIMIT_M)
+        return last is not None and bool(np.all(np.abs(last.true.p_m[:2]) <= LIMIT_M))
 
     @property
     def verdict(self) -> str:

@@ -74,8 +74,7 @@ def allowed(schema: Schema, path: str) -> str:
 def _resolve(root: Schema, here: Schema) -> Schema:
     if "$ref" not in here:
         return here
-    found: Schema = root["$defs"][here["$ref"].rpartition("/")[2]]
-    return found
+    return root["$defs"][here["$ref"].rpartition("/")[2]]
 
 
 def _in_words(root: Schema, found: Schema) -> str:

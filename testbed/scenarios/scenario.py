@@ -7,6 +7,7 @@ and the seed only, so that adding one draw leaves all others as they were.
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -238,11 +239,10 @@ class Settings(NamedTuple):
 
 def loaders(config_dir: Path, overrides: Overrides) -> dict[str, Callable[[], StrictModel]]:
     """For each configuration file its loader, which raises ConfigurationError when called."""
-
-    def loader(name: str) -> Callable[[], StrictModel]:
-        return lambda: load(MODELS[name], config_dir / f"{name}.yaml", overrides.get(name))
-
-    return {name: loader(name) for name in MODELS}
+    return {
+        name: partial(load, model, config_dir / f"{name}.yaml", overrides.get(name))
+        for name, model in MODELS.items()
+    }
 
 
 def load_settings(config_dir: Path, overrides: Overrides) -> Settings:

@@ -29,7 +29,7 @@ class FaultRig:
         self.registers = Registers(self.world.plant)
         self.world.plant = self.registers  # type: ignore[assignment]
         self.world.to_controller = wire
-        self.until(lambda: self.world.connected)
+        self.until(lambda: self.world.link.connected)
 
     # time
     @property
@@ -96,7 +96,7 @@ class FaultRig:
         world = self.world
         world.to_controller = world.to_vision = list
         world.open_link(nonce)
-        self.until(lambda: world.connected, 2.0)
+        self.until(lambda: world.link.connected, 2.0)
 
     def assert_safe(self, fault: FaultCode, since_ns: int, within_s: float) -> None:
         """Asserts SAFE: centred, enable dropped, spools shut; latched with its cause; nothing resumes."""
@@ -107,7 +107,7 @@ class FaultRig:
             r for r in self.registers.written if r.time_ns > limit_ns and (r.image.control & 1 or r.drives)
         ]
         assert not late, f"{(late[-1].time_ns - since_ns) / 1e6} ms after the fault: {late[-1]}"
-        if not self.world.connected:
+        if not self.world.link.connected:
             self.reconnect()
         self.run(0.5)
         assert (self.state.group_state, self.state.fault) == (GroupState.ERROR_STOP, fault)

@@ -61,7 +61,7 @@ def test_case_06_one_datagram_a_hundred_times_has_one_effect() -> None:
 def test_case_07_the_sequence_wraps_within_a_motion() -> None:
     rig = FaultRig()
     rig.world.open_link(nonce=5, first_sequence=2**32 - 9)
-    rig.until(lambda: rig.world.connected)
+    rig.until(lambda: rig.world.link.connected)
     rig.moving()
     rig.assert_completes()
     assert rig.world.link.session._channel.next_sequence < 2**31  # it has wrapped

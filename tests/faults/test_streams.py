@@ -53,7 +53,7 @@ class StreamingRig(FaultRig):
         end_ns = self.now_ns + round(seconds * 1e9)
         while self.now_ns < end_ns:
             t = (self.now_ns - self._began_ns) / 1e9
-            if t * RATE_HZ >= self.sent and self.world.connected:
+            if t * RATE_HZ >= self.sent and self.world.link.connected:
                 self.sent += 1
                 sway, speed = REACH_M * math.sin(OMEGA * t), REACH_M * OMEGA * math.cos(OMEGA * t)
                 x, y, z = self._start.p_m

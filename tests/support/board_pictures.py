@@ -7,18 +7,17 @@ import cv2
 import numpy as np
 
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.config.surroundings import AnyBoardConfig, CharucoConfig, CheckerboardConfig
 from plant_emulator.core.camera.boards import board_pose
 from plant_emulator.core.camera.exposures import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
+from testbed.camera.pairs import board_config
 from vision_pc.core import se3
 from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
 _BEHIND = se3.transform(np.eye(3), (0.0, 0.0, -5.0))  # the tool marker, out of the camera's sight
-_DICTIONARIES = {cv2.aruco.DICT_5X5_100: "DICT_5X5_100", cv2.aruco.DICT_5X5_1000: "DICT_5X5_1000"}
 
 
 class BoardCamera(NamedTuple):
@@ -81,7 +80,7 @@ def _shown(camera: tuple[Any, ...], board: Checkerboard | Charuco) -> StereoCame
                 "markers": [marker | {"centre_m": (40.0, 40.0)}],
             },
             "tool_marker": marker | {"marker_id": 0},
-            "boards": [_config(board)],
+            "boards": [board_config(board)],
             "mount": {},
             "camera": {
                 "width_px": width,
@@ -98,38 +97,21 @@ def _shown(camera: tuple[Any, ...], board: Checkerboard | Charuco) -> StereoCame
     return StereoCamera(config.camera, Scene(config), config.seed)
 
 
-def _config(board: Checkerboard | Charuco) -> AnyBoardConfig:
-    where: dict[str, Any] = {"position_m": (0.0, 0.0, 0.05)}
-    size = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
-    if isinstance(board, Checkerboard):
-        return CheckerboardConfig(kind="checkerboard", **where, **size)
-    name = _DICTIONARIES[board.dictionary]
-    return CharucoConfig(kind="charuco", **where, **size, marker_m=board.marker_m, dictionary=name)
-
-
 def random_board_pose(camera: BoardCamera, board: Checkerboard | Charuco, rng: np.random.Generator) -> Array:
     """A board pose X_CB (4, 4) with the whole board in the picture, tilted up to 40°, rolled up to 30°."""
     extent = np.array([board.columns, board.rows]) * board.square_m
     centre = 0.5 * (extent - (board.square_m if isinstance(board, Checkerboard) else 0.0))
     for _ in range(1000):
-        angles = np.radians(rng.uniform([-40.0, -40.0, -30.0], [40.0, 40.0, 30.0]))
-        R = np.asarray(cv2.Rodrigues(angles)[0])
+        R = np.asarray(cv2.Rodrigues(np.radians(rng.uniform([-40.0, -40.0, -30.0], [40.0, 40.0, 30.0])))[0])
         depth = rng.uniform(1.2, 2.4) * camera.K[0, 0] * extent[0] / camera.width
         pixel = rng.uniform([0.0, 0.0], [camera.width, camera.height])
         ray = np.linalg.solve(camera.K, np.append(pixel, 1.0))
-        X = np.eye(4)
-        X[:3, :3] = R
-        X[:3, 3] = ray * depth - R @ np.append(centre, 0.0)
+        X = se3.transform(R, ray * depth - R @ np.append(centre, 0.0))
         margin = board.square_m
         outline = np.array([[a, b, 0.0] for a in (-margin, extent[0]) for b in (-margin, extent[1])])
         seen = cv2.projectPoints(
             outline @ R.T + X[:3, 3], np.zeros(3), np.zeros(3), camera.K, camera.distortion
         )[0]
-        inside = (
-            (seen > 8.0).all()
-            and (seen[..., 0] < camera.width - 8).all()
-            and (seen[..., 1] < camera.height - 8).all()
-        )
-        if inside:
+        if ((seen > 8.0) & (seen < (camera.width - 8, camera.height - 8))).all():
             return X
     raise ValueError("the board does not fit into this picture")

@@ -40,12 +40,13 @@ class Ran(NamedTuple):
 def ran(recipe: str, seed: int) -> Ran:
     """The outcome of one recipe with one seed."""
     makers = {"hand_eye": _guided, "crane": _crane, "servoing": _servoing}
-    rig = makers.get(recipe, _demonstration)(recipe, seed)
+    rig = makers.get(recipe, demonstration)(recipe, seed)
     truths = [*rig.world.truths[:: _EVERY_NS // TRUTH_PERIOD_NS], rig.world.plant.truth()]
     return Ran(rig.world.log.digest(), [truth.X_WT[:3, 3].tolist() for truth in truths])
 
 
-def _demonstration(scenario: str, seed: int) -> LockstepRig:
+def demonstration(scenario: str, seed: int) -> LockstepRig:
+    """The rig after a demonstration in the paper's form, with pictures, of one look."""
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, scenario, seed, []))
     rig = LockstepRig(settings, seed, RunLog())
     with bars(quiet=True) as shown:
@@ -53,11 +54,16 @@ def _demonstration(scenario: str, seed: int) -> LockstepRig:
     return rig
 
 
-def _crane(_recipe: str, seed: int) -> LockstepRig:
-    task = {"seed": seed, "arm": "plant_long_crane", "world": "lab", "eyes": "model", "assignments": []}
+def corrected(arm: str, seed: int) -> LockstepRig:
+    """The rig after one look and its corrected motions, in a drawn laboratory."""
+    task = {"seed": seed, "arm": arm, "world": "lab", "eyes": "model", "assignments": []}
     rig = prepared(CONFIGS, task)
     operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0})
     return rig
+
+
+def _crane(_recipe: str, seed: int) -> LockstepRig:
+    return corrected("plant_long_crane", seed)
 
 
 def _servoing(_recipe: str, seed: int) -> LockstepRig:

@@ -52,16 +52,16 @@ def sweep_tables(done: Finished[NoSettings]) -> list[Table]:
         "least eigenvalue": "{least_eigenvalue:.1e}",
         "failed": "{failed}",
     }
-    tables = []
-    for level in (1, LEVELS):
-        shown = [row for row in _sweep(done) if row.level == level]
-        first = shown[0]
-        title = (
-            f"d = {level}, {done.request.runs} runs; Cramér-Rao bound "
-            f"{first.bound_rotation_deg:.4f} deg {first.bound_translation_mm:.3f} mm"
+    shown = [[row for row in _sweep(done) if row.level == level] for level in (1, LEVELS)]
+    return [
+        listed(
+            f"d = {first.level}, {done.request.runs} runs; Cramér-Rao bound "
+            f"{first.bound_rotation_deg:.4f} deg {first.bound_translation_mm:.3f} mm",
+            columns,
+            [first, *others],
         )
-        tables.append(listed(title, columns, shown))
-    return tables
+        for first, *others in shown
+    ]
 
 
 def sweep_verdict(done: Finished[NoSettings]) -> list[Check]:

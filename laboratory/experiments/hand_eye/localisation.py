@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -51,7 +51,11 @@ def calibration_row(_config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng([task["seed"], task["run"]])
     scene, taken, kept = simulated_session(rng)
     points = _repetitions(scene, task["repetitions"], rng)
-    found = _calibrations(taken, kept)
+    on_all = (Method.HORAUD, Method.DQCR, Method.ROBUST)
+    found = [
+        *((m.value, f"{KEPT} kept by hand", _solve(kept, m)) for m in Method),
+        *((m.value, f"all {TAKEN}", _solve(taken, m)) for m in on_all),
+    ]
     return {"entries": [[*key, np.round(_located_mm(points, X, scene.X), 5)] for *key, X in found]}
 
 
@@ -92,8 +96,7 @@ def _reported(X_BT: Array, rng: np.random.Generator) -> Array:
 
 def _project(X_CP: Array, points: Array) -> Array:
     p = points @ X_CP[:3, :3].T + X_CP[:3, 3]
-    pixels: Array = (p @ PAPER_K.T)[:, :2] / p[:, 2:]
-    return pixels
+    return np.asarray((p @ PAPER_K.T)[:, :2] / p[:, 2:])
 
 
 def _pose_of(points: Array, pixels: Array) -> Array:
@@ -108,15 +111,6 @@ def _pose_of(points: Array, pixels: Array) -> Array:
     )
 
 
-def _calibrations(taken: PosePairs, kept: PosePairs) -> list[tuple[str, str, Array]]:
-    """X of every method on the samples kept by hand, and of some on all samples too."""
-    on_all = (Method.HORAUD, Method.DQCR, Method.ROBUST)
-    return [
-        *((m.value, f"{KEPT} kept by hand", _solve(kept, m)) for m in Method),
-        *((m.value, f"all {TAKEN}", _solve(taken, m)) for m in on_all),
-    ]
-
-
 def _solve(pairs: PosePairs, method: Method) -> Array:
     """X (4, 4), NaN where the method refuses."""
     try:
@@ -125,18 +119,13 @@ def _solve(pairs: PosePairs, method: Method) -> Array:
         return np.full((4, 4), np.nan)
 
 
-class _Points(NamedTuple):
-    """For each repetition: the hand's true and reported pose, the point in the camera and its truth."""
-
-    X_BT: Array
-    X_BT_reported: Array
-    measured: Array
-    true: Array
+_Points = tuple[Array, Array, Array, Array]
+"""For each repetition: the hand's true and reported pose, the point in the camera and its truth."""
 
 
 def _repetitions(scene: HandEyeScene, repetitions: int, rng: np.random.Generator) -> list[_Points]:
     """The targets' points as seen from ``repetitions`` poses around the calibrated ones."""
-    found = []
+    found: list[_Points] = []
     for offset in TARGETS:
         start = scene.X_BT[rng.integers(len(scene.X_BT), size=repetitions)]
         wander = stacks.exp_so3(rng.normal(size=(repetitions, 3)) * math.radians(5.0))
@@ -146,17 +135,19 @@ def _repetitions(scene: HandEyeScene, repetitions: int, rng: np.random.Generator
         reported = _reported(X_BT, rng)
         in_base = scene.Z @ np.append(offset, 1.0)
         true = (stacks.inverse(X_BT @ scene.X) @ in_base)[:, :3]
-        found.append(_Points(X_BT, reported, true + rng.normal(size=true.shape) * POINT_M, true))
+        found.append((X_BT, reported, true + rng.normal(size=true.shape) * POINT_M, true))
     return found
 
 
 def _located_mm(points: list[_Points], X: Array, X_true: Array) -> Array:
     """Errors (targets, repetitions) of the whole chain, mm."""
-    offs = [_through(p.X_BT_reported, X, p.measured) - _through(p.X_BT, X_true, p.true) for p in points]
+    offs = [
+        _through(reported, X, measured) - _through(X_BT, X_true, true)
+        for X_BT, reported, measured, true in points
+    ]
     return np.asarray(1e3 * np.linalg.norm(offs, axis=-1))
 
 
 def _through(X_BT: Array, X: Array, points: Array) -> Array:
     inside = points @ X[:3, :3].T + X[:3, 3]
-    located: Array = (X_BT[:, :3, :3] @ inside[..., None])[..., 0] + X_BT[:, :3, 3]
-    return located
+    return np.asarray((X_BT[:, :3, :3] @ inside[..., None])[..., 0] + X_BT[:, :3, 3])

@@ -98,8 +98,7 @@ def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: floa
 
 def _sphere(rng: np.random.Generator, count: int) -> Array:
     v = rng.normal(size=(count, 3))
-    directions: Array = v / np.linalg.norm(v, axis=1, keepdims=True)
-    return directions
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
 def _ball(rng: np.random.Generator, count: int) -> Array:

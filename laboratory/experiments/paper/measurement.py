@@ -11,11 +11,18 @@ from typing import NamedTuple
 import numpy as np
 
 from laboratory.campaigns.rows import Row
-from laboratory.experiments.paper.sight import RememberingEyes, TracedArm, opencv_sight, traced_arrays
+from laboratory.experiments.paper.sight import OpencvSensor, RememberingEyes, TracedArm, traced_arrays
 from protocol.errors import LongreachError
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import RunLog, run
-from testbed.lockstep.simulated_measurements import camera_eyes, eyes_with, load_eye_model, simulated_sight
+from testbed.lockstep.simulated_measurements import (
+    PixelFrames,
+    Sight,
+    camera_eyes,
+    eyes_with,
+    load_eye_model,
+    simulated_sight,
+)
 from testbed.lockstep.world import World
 from testbed.scenarios.scenario import load_scenario, load_settings
 from vision_pc.application.link_arm import LinkArm
@@ -48,14 +55,15 @@ def bench(config_dir: Path, task: Row, *, traces: bool = False) -> Bench:
     world = World(settings, task["seed"], RunLog())
     seen: Eyes = camera_eyes(world)
     if task["eyes"] == "opencv":
-        seen = eyes_with(world, opencv_sight(world))
+        seen = eyes_with(world, Sight(PixelFrames(world), OpencvSensor(settings.vision)))
     elif task["eyes"] == "model":
         seen = eyes_with(world, simulated_sight(world, load_eye_model(config_dir), task["seed"]))
-    eyes, arm = RememberingEyes(seen, traces=traces), LinkArm(world.link, settings.vision.motion)
+    eyes, motion = RememberingEyes(seen, traces=traces), settings.vision.motion
+    arm = TracedArm(world.link, motion, eyes) if traces else LinkArm(world.link, motion)
     world.connect()
     run(world.link.command(CommandCode.ENABLE))
     run(world.link.next_state())
-    return Bench(world, TracedArm(arm, eyes) if traces else arm, eyes)
+    return Bench(world, arm, eyes)
 
 
 def measure(config_dir: Path, task: Row) -> Row:

@@ -1,7 +1,7 @@
 """What a measured run is seen with: markers by OpenCV alone, and where each error arises."""
 
 from collections.abc import AsyncIterator, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from testbed.lockstep.simulated_measurements import PixelFrames, Sight
-from testbed.lockstep.world import VISION_CLOCK_NS, World
-from vision_pc.config.vision import MarkerSettings, VisionConfig
+from testbed.lockstep.world import VISION_CLOCK_NS
+from vision_pc.application.link_arm import LinkArm
+from vision_pc.application.reference_link import ReferenceLink
+from vision_pc.config.vision import MarkerSettings, MotionSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import orientation_error
@@ -20,7 +21,7 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.perception.object_of_interest import marker_in_object
 from vision_pc.core.pixel_sensor import PixelSensor
-from vision_pc.core.ports import Arm, ArmView, Eyes, ReferenceStream, Watch
+from vision_pc.core.ports import ArmView, Eyes, Watch
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
     CameraErrors,
@@ -71,23 +72,20 @@ class RememberingEyes:
         self.path = watch.samples
 
 
-class TracedArm:
-    """Implements ``Arm``: notes its ``inputs`` (time ns, corners (n, 3) in B), and watches every motion."""
+class TracedArm(LinkArm):
+    """Notes its ``inputs`` (time ns, corners (n, 3) in B), and watches every motion."""
 
-    def __init__(self, arm: Arm, eyes: RememberingEyes) -> None:
-        self._arm, self._eyes = arm, eyes
+    def __init__(self, link: ReferenceLink, settings: MotionSettings, eyes: RememberingEyes) -> None:
+        super().__init__(link, settings)
+        self._eyes = eyes
         self.inputs: list[tuple[int, Array]] = []
-
-    async def view(self) -> ArmView:
-        """The arm's view."""
-        return await self._arm.view()
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
         """A motion of the arm, watched."""
         await self._note([X_BT_ref])
         path = self._eyes.path
         async with self._eyes.watch(markers=True, odometry=False):
-            arrived = await self._arm.move_to(X_BT_ref, duration_s)
+            arrived = await super().move_to(X_BT_ref, duration_s)
         self._eyes.path = path
         return arrived
 
@@ -96,32 +94,27 @@ class TracedArm:
     ) -> ArmView:
         """A path of the arm."""
         await self._note(waypoints)
-        return await self._arm.follow(waypoints, segment_s, dwell_s)
-
-    def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
-        """A stream of the arm."""
-        return self._arm.streaming()
-
-    async def stop(self) -> None:
-        """Stop the arm."""
-        await self._arm.stop()
+        return await super().follow(waypoints, segment_s, dwell_s)
 
     async def _note(self, waypoints: Sequence[Array]) -> None:
-        view = await self._arm.view()
+        view = await self.view()
         self.inputs.append((view.time_ns, np.array([X[:3, 3] for X in (view.X_BT, *waypoints)])))
 
 
 def traced_arrays(arm: TracedArm, eyes: RememberingEyes, match: LocalCalibration | None) -> dict[str, Array]:
     """Everything as arrays: times in s of the simulation, places in m, angles in degrees, NaN unseen."""
     held = [s for s in eyes.path if s.X_C0C is not None]
+    samples, looks = (
+        np.array([_off(each) for each in seen]).reshape(-1, 2, 3) for seen in (eyes.samples, eyes.looks)
+    )
     arrays: dict[str, Any] = {
         "time_s": [_seconds(s.time_ns) for s in eyes.samples],
         "p_BT": [s.X_BT[:3, 3] for s in eyes.samples],
-        "error_m": [_error_m(s) for s in eyes.samples],
-        "turn_deg": [_turn_deg(s) for s in eyes.samples],
+        "error_m": samples[:, 0],
+        "turn_deg": samples[:, 1],
         "look_s": [_seconds(look.time_ns) for look in eyes.looks],
-        "look_error_m": [_error_m(look) for look in eyes.looks],
-        "look_turn_deg": [_turn_deg(look) for look in eyes.looks],
+        "look_error_m": looks[:, 0],
+        "look_turn_deg": looks[:, 1],
         "input_s": [_seconds(time_ns) for time_ns, _ in arm.inputs],
         "path_p_BT": [s.X_BT[:3, 3] for s in held or eyes.path],
         "path_p_C0C": [s.X_C0C[:3, 3] for s in held if s.X_C0C is not None],
@@ -132,18 +125,11 @@ def traced_arrays(arm: TracedArm, eyes: RememberingEyes, match: LocalCalibration
     return {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
 
 
-def _error_m(seen: Any) -> Array:
-    """From tool marker to object (3,), C axes, of a look or a sample."""
+def _off(seen: Any) -> Array:
+    """From tool marker to object (2, 3), of a look or a sample: m in C axes, and Euler angles in degrees."""
     if seen.X_CM is None or seen.X_CO is None:
-        return np.full(3, np.nan)
-    error: Array = seen.X_CO[:3, 3] - seen.X_CM[:3, 3]
-    return error
-
-
-def _turn_deg(seen: Any) -> Array:
-    if seen.X_CM is None or seen.X_CO is None:
-        return np.full(3, np.nan)
-    return np.degrees(orientation_error(seen))
+        return np.full((2, 3), np.nan)
+    return np.array([seen.X_CO[:3, 3] - seen.X_CM[:3, 3], np.degrees(orientation_error(seen))])
 
 
 def _seconds(vision_ns: int) -> float:
@@ -152,11 +138,6 @@ def _seconds(vision_ns: int) -> float:
 
 _COVARIANCE = np.diag([0.005**2] * 3 + [0.02**2] * 3)  # the same for every pose: frames are averaged evenly
 _NO_BIAS = np.zeros((6, 6))
-
-
-def opencv_sight(world: World) -> Sight:
-    """The paper's eyes on ``world``."""
-    return Sight(PixelFrames(world), OpencvSensor(world.settings.vision))
 
 
 class OpencvSensor:

@@ -55,8 +55,8 @@ class DrawnSettings(NamedTuple):
 
 def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list[Task]:
     """One task a run; with both arms, seeds take them in turn."""
-    choice: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes)}
-    choice |= {"assignments": settings.assignments or []}
+    choice: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes),
+                              "assignments": settings.assignments or []}  # fmt: skip
     choice |= {name: True for name in ("adapting", "commissioned", "own_file") if getattr(settings, name)}
     arms = ARMS if settings.arm == BOTH_ARMS else (settings.arm or WORLDS[settings.world].arm,)
     return [

@@ -93,8 +93,8 @@ def programs_tasks(request: CampaignRequest, settings: ProgramsSettings) -> list
     world = load_scenario(request.config_dir, settings.scenario).world(request.seed)
     assignments = settings.assignments or []
     load_settings(request.config_dir, merged(world, parse_overrides(assignments)))
-    chosen: Task = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments}
-    chosen |= {"form": str(settings.form)}
+    chosen: Task = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments,
+                    "form": str(settings.form)}  # fmt: skip
     fault_orders(settings.fault or [])
     chosen |= {name: some for name in ("program", "fault") if (some := getattr(settings, name))}
     return [{"key": f"seed-{seed}", "seed": seed} | chosen for seed in seeds(request)]

@@ -125,12 +125,18 @@ def _scene(rng: np.random.Generator, pose: _Pose) -> JSON:
     return {
         "seed": int(rng.integers(2**31)),
         "wall": {"texture_seed": int(rng.integers(2**31))},
-        "mount": {"position_m": pose.X_TC[:3, 3].tolist(), "rotation_deg": _vector_deg(pose.X_TC[:3, :3])},
+        "mount": {
+            "position_m": pose.X_TC[:3, 3].tolist(),
+            "rotation_deg": np.degrees(log_so3(pose.X_TC[:3, :3])).tolist(),
+        },
         "tool_marker": {
             "misalignment_deg": np.degrees(_ball(rng, math.radians(1.5))).tolist(),
             "offset_m": _ball(rng, 0.002).tolist(),
         },
-        "object_of_interest": {"position_m": pose.X_WO[:3, 3].tolist(), "tilt_deg": _vector_deg(tilt)},
+        "object_of_interest": {
+            "position_m": pose.X_WO[:3, 3].tolist(),
+            "tilt_deg": np.degrees(log_so3(tilt)).tolist(),
+        },
         "camera": {
             "rectification": {
                 "disparity_px": rng.uniform(-0.5, 0.5),
@@ -141,27 +147,20 @@ def _scene(rng: np.random.Generator, pose: _Pose) -> JSON:
 
 
 def _plant(rng: np.random.Generator, pose: _Pose) -> JSON:
-    def offset_mm() -> list[float]:
-        return [float(value) for value in _ball(rng, 3.0)]
-
     return {
         "start_pose_deg": pose.start_deg,
         "payload": {"mass_kg": rng.uniform(0.0, 150.0)},
         "errors": {
             "encoder_offsets": {"mrad": rng.uniform(-5.0, 5.0, 6).tolist()},
             "geometry": {
-                "lift": {"offset_mm": offset_mm()},
-                "tilt": {"offset_mm": offset_mm()},
-                "wrist1": {"offset_mm": offset_mm()},
-                "tool": {"tilt_mrad": offset_mm()},
+                "lift": {"offset_mm": _ball(rng, 3.0).tolist()},
+                "tilt": {"offset_mm": _ball(rng, 3.0).tolist()},
+                "wrist1": {"offset_mm": _ball(rng, 3.0).tolist()},
+                "tool": {"tilt_mrad": _ball(rng, 3.0).tolist()},
             },
             "base_tilt": {"x_mrad": rng.uniform(-5.0, 5.0), "y_mrad": rng.uniform(-5.0, 5.0)},
         },
     }
-
-
-def _vector_deg(R: Array) -> list[float]:
-    return [float(value) for value in np.degrees(log_so3(R))]
 
 
 def _goal(pose: _Pose, X_TM: Array) -> tuple[Array, Array]:
@@ -187,17 +186,13 @@ def _goals(pose: _Pose, leg_m: float, unturned: Array | None) -> list[Array]:
 
 def _can_reach(pose: _Pose, arm: NominalArm, goals: list[Array]) -> bool:
     table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
-    limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
+    low, high = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints]).T
+    least, most = np.transpose([arm.workspace.x_m, arm.workspace.y_m, arm.workspace.z_m])
     for X in goals:
         verdict, q, _, _ = joint_angles(table, X[:3, :3].copy(), X[:3, 3].copy(), branch)
-        if verdict != REACHED or np.any(q < limits[:, 0] + _JOINT_MARGIN):
+        turns = np.all((q >= low + _JOINT_MARGIN) & (q <= high - _JOINT_MARGIN)) and abs(q[4]) >= _WRIST_BENT
+        if verdict != REACHED or not turns or not np.all((least + 0.1 < X[:3, 3]) & (X[:3, 3] < most - 0.1)):
             return False
-        if np.any(q > limits[:, 1] - _JOINT_MARGIN) or abs(q[4]) < _WRIST_BENT:
-            return False
-        box = arm.workspace
-        for value, (low, high) in zip(X[:3, 3], (box.x_m, box.y_m, box.z_m), strict=True):
-            if not low + 0.1 < value < high - 0.1:
-                return False
     # what bends downwards must still be within the boom's reach
     stretched = goals[-1].copy()
     stretched[:3, 3] += 0.1 * stretched[:3, 3] / np.linalg.norm(stretched[:3, 3])

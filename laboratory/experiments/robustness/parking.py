@@ -129,8 +129,10 @@ def parking_verdict(done: Finished[ParkingOptions]) -> list[Check]:
     for arm, valves, rows in _kinds(done):
         settled = float(np.mean(np.isfinite(column(rows, "settled_s"))))
         share = float((column(rows, "moved_mm") / column(rows, "allowed_mm")).max())
-        checks.append(at_least(f"share that settled, {arm}, {valves}", settled, 1.0))
-        checks.append(at_most(f"moved while settled, of what is allowed, {arm}, {valves}", share, 1.0))
+        checks += [
+            at_least(f"share that settled, {arm}, {valves}", settled, 1.0),
+            at_most(f"moved while settled, of what is allowed, {arm}, {valves}", share, 1.0),
+        ]
     return checks
 
 

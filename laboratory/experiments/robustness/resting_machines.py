@@ -64,7 +64,9 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     own: JSON = {"plant": {"payload": {"mass_kg": mass_kg}}}
     real = task["valves"] == REAL
     for axis in _OF_A_MACHINE[task["valves"]]:
-        own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
+        # a stream for each axis of ``real``: one that is added changes no other
+        apart = np.random.default_rng([task["seed"], _STREAM, crc32(axis.name.encode())])
+        own = merged(own, axis.draw(apart if real else rng, usual))
     if task.get("cooling"):
         cools = {"errors": {"cooling_oil": {"enabled": True}}, "oil": {"temperature_degc": _WARM_DEGC}}
         own = merged(own, {"plant": cools})
@@ -72,11 +74,6 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     settings = load_settings(config_dir, over_all)
     settings = commissioned(config_dir, over_all, settings, task["seed"])
     return DrawnMachine(settings, mass_kg, rng)
-
-
-def _stream(seed: int, axis: Axis) -> np.random.Generator:
-    """A stream for each axis: one that is added changes no other."""
-    return np.random.default_rng([seed, _STREAM, crc32(axis.name.encode())])
 
 
 def arrived(machine: DrawnMachine, seed: int) -> ClosedLoop:
@@ -104,8 +101,8 @@ def _targets(rng: np.random.Generator, start: Pose) -> Iterator[Pose]:
         way = rng.normal(size=3)
         way *= rng.uniform(_NEAREST_M, _FURTHEST_M) / np.linalg.norm(way)
         turn = Rotation.from_rotvec(np.radians(rng.uniform(-_TURN_DEG, _TURN_DEG, 3)))
-        i, j, k, real = (float(part) for part in (turn * Rotation.from_quat([x, y, z, w])).as_quat())
-        px, py, pz = (float(part) for part in np.add(start.p_m, way))
+        i, j, k, real = (turn * Rotation.from_quat([x, y, z, w])).as_quat().tolist()
+        px, py, pz = np.add(start.p_m, way).tolist()
         yield Pose((px, py, pz), (real, i, j, k))
 
 

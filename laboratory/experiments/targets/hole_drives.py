@@ -53,8 +53,8 @@ class HoleDriveSettings(NamedTuple):
 
 def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> list[Task]:
     """One task a seed."""
-    options: Task = {"world": str(settings.world), "arm": settings.arm}
-    options["assignments"] = settings.assignments or []
+    options: Task = {"world": str(settings.world), "arm": settings.arm,
+                     "assignments": settings.assignments or []}  # fmt: skip
     options |= {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
     return [
         {"key": f"{settings.world}-{settings.arm}-{seed}", "seed": seed} | options for seed in seeds(request)

@@ -18,7 +18,6 @@ from laboratory.experiments.positioning.scenarios import draw
 from laboratory.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from plant_emulator.core.camera.exposures import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
-from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.scenario import load_settings
 from tests.support.paths import CONFIGS
@@ -53,11 +52,6 @@ def test_scenarios_are_as_wide_as_the_page_says_and_can_be_done(arm: str) -> Non
             )
             == 4
         )
-
-
-def test_an_unknown_arm_is_refused_by_name() -> None:
-    with pytest.raises(ConfigurationError, match="knuckle"):
-        draw(CONFIGS, 1, "knuckle", LAB)
 
 
 def row(error: float, std: float = 1.0, **changes: Any) -> dict[str, Any]:

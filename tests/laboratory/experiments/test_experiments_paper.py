@@ -17,7 +17,7 @@ from laboratory.experiments.paper.campaign import (
 )
 from laboratory.experiments.paper.comparison import compared, conclusions
 from laboratory.experiments.paper.measurement import bench, measured_on
-from laboratory.experiments.paper.sight import RememberingEyes, TracedArm, traced_arrays
+from laboratory.experiments.paper.sight import RememberingEyes, traced_arrays
 from protocol.errors import MeasurementFailed
 from testbed.lockstep.clock import run
 
@@ -103,7 +103,6 @@ def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
 def test_a_traced_measurement_notes_inputs_and_pictures() -> None:
     rig = bench(CONFIGS, task("line", 3, eyes=PaperEyes.MODEL), traces=True)
     row, match = measured_on(rig, "line")
-    assert isinstance(rig.arm, TracedArm)
     traced = traced_arrays(rig.arm, rig.eyes, match)
     assert len(traced["input_s"]) == 4  # orientation, circle, two inputs
     assert traced["corners_1"].shape == (19, 3)

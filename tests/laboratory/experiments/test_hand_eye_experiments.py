@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from laboratory.campaigns.campaign import CampaignRequest
 from laboratory.campaigns.experiment import Finished, NoSettings
@@ -14,13 +13,11 @@ from laboratory.experiments.hand_eye import localisation, scenes
 from laboratory.experiments.hand_eye.hua import localisation_tables, localisation_verdict
 from laboratory.experiments.hand_eye.noise_sweep import noise_level
 from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, SMALL_ROTATIONS, attempted, rows_of
-from testbed.cli.main import app
 from tests.support.board_pictures import BoardCamera, BoardRenderer, random_board_pose
+from tests.support.commands import ran
 from tests.support.paths import CONFIGS
-from tests.vision_pc.hand_eye.data import random_scene
 from vision_pc.config.choices import Method
 from vision_pc.core.perception.zhang_intrinsics import Checkerboard
-from vision_pc.core.se3 import Array
 
 pytestmark = pytest.mark.slow("whole experiments, small")
 
@@ -80,27 +77,6 @@ def test_small_stress_has_no_improper_answer() -> None:
     assert rows_of(SMALL_ROTATIONS, few)[0].refused == 0
 
 
-def samples_file(tmp_path: Path) -> tuple[Path, Array]:
-    scene = random_scene(np.random.default_rng(60))
-    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BT, scene.P(), strict=True)]
-    path = tmp_path / "samples.json"
-    path.write_text(json.dumps(bare), encoding="utf-8")
-    return path, scene.X
-
-
-def test_solve_writes_what_it_prints(tmp_path: Path) -> None:
-    path, X = samples_file(tmp_path)
-    report = tmp_path / "x.json"
-    result = CliRunner().invoke(app, ["hand-eye", "solve", str(path), "--json", str(report)])
-    assert "questioned: the camera is 1056 mm from the hand" in result.output  # as the scene was drawn
-    assert result.exit_code == 1, result.output
-    figures = json.loads(report.read_text(encoding="utf-8"))
-    np.testing.assert_allclose(figures["X"]["matrix"], X, atol=1e-9)
-    assert figures["certificate"]["holds"]
-    assert len(figures["samples"]) == 12
-    assert f"{1e3 * X[0, 3]:.3f}" in result.output
-
-
 def test_intrinsics_of_pictures(tmp_path: Path) -> None:
     camera = BoardCamera(
         np.array([[300.0, 0.0, 150.0], [0.0, 300.0, 115.0], [0.0, 0.0, 1.0]]),
@@ -116,8 +92,7 @@ def test_intrinsics_of_pictures(tmp_path: Path) -> None:
         cv2.imwrite(str(files[-1]), renderer.render(board, random_board_pose(camera, board, rng), rng))
     report = tmp_path / "k.json"
     options = ["--columns", "5", "--rows", "4", "--square-mm", "30", "--json", str(report)]
-    result = CliRunner().invoke(app, ["hand-eye", "intrinsics", *map(str, files), *options])
-    assert result.exit_code == 0, result.output
+    ran("hand-eye", "intrinsics", *files, *options)
     figures = json.loads(report.read_text(encoding="utf-8"))
     assert figures["K"][0][0] == pytest.approx(300.0, rel=0.02)
     assert set(figures["view_rms_px"]) == {f"b{k}" for k in range(5)}

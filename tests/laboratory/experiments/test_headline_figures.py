@@ -6,7 +6,6 @@ Lockstep repeats bit by bit, so a figure moves only when the code or the configu
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,50 +13,24 @@ import pytest
 from laboratory.experiments.hand_eye.stress import BAD_SAMPLES, attempted, rows_of
 from laboratory.experiments.paper.campaign import PaperEyes, PaperSettings, paper_task
 from laboratory.experiments.paper.measurement import measure
-from laboratory.experiments.positioning.corrected_run import operate, prepared, true_error_mm
-from testbed.demonstration.sequence import Recorder, demonstrate
-from testbed.lockstep.clock import RunLog
+from laboratory.experiments.positioning.corrected_run import true_error_mm
 from testbed.lockstep.rig import LockstepRig
-from testbed.reporting.console import bars
-from testbed.scenarios.scenario import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.config.choices import Method, PositioningMethod
+from tests.testbed.lockstep_recipes import corrected, demonstration
+from vision_pc.config.choices import Method
 
 pytestmark = pytest.mark.slow("whole runs of a campaign")
 
 
-def corrected(arm: str) -> float:
-    """The median of four true errors in mm after one look and its corrected motions."""
-    errors = []
-    for seed in range(1, 5):
-        rig = prepared(
-            CONFIGS, {"seed": seed, "arm": arm, "world": "lab", "eyes": "model", "assignments": []}
-        )
-        operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0})
-        errors.append(float(np.abs(true_error_mm(rig)[:2]).max()))
-    return float(np.median(errors))
-
-
-def demonstrated() -> float:
-    """The median of four true errors in mm after the first look of the demonstration in the paper's form,
-    with pictures.
-    """
-    errors = []
-    for seed in range(1, 5):
-        chosen = load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", seed, []))
-        rig = LockstepRig(chosen, seed, RunLog())
-        with bars(quiet=True) as shown:
-            demonstrate(Recorder(rig, shown), 1, method=PositioningMethod.PAPER)
-        errors.append(float(np.abs(true_error_mm(rig)[:2]).max()))
-    return float(np.median(errors))
+def median_mm(drive: Callable[[str, int], LockstepRig], which: str) -> float:
+    """The median of four true errors in mm after a drive."""
+    return float(np.median([np.abs(true_error_mm(drive(which, seed))[:2]).max() for seed in range(1, 5)]))
 
 
 def of_the_paper(seeds: tuple[int, ...]) -> float:
     """The worse of the mean |x| and |y| in mm after two inputs of trajectory matching, as the eyes see it."""
     eyes = PaperSettings(eyes=PaperEyes.MODEL)
-    rows: list[dict[str, Any]] = [
-        measure(CONFIGS, paper_task(CONFIGS, eyes, "match", seed)) for seed in seeds
-    ]
+    rows = [measure(CONFIGS, paper_task(CONFIGS, eyes, "match", seed)) for seed in seeds]
     return float(max(np.mean([abs(row[f"input2_{axis}_mm"]) for row in rows]) for axis in "xy"))
 
 
@@ -71,9 +44,13 @@ def robust() -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("measured", "limits"),
     [
-        pytest.param(partial(corrected, "plant"), (0.6,), id="one look, 4 m arm"),  # median 0.6
-        pytest.param(partial(corrected, "plant_long_crane"), (0.8,), id="one look, crane"),  # median 0.4
-        pytest.param(demonstrated, (3.0,), id="demonstration, look 1"),  # median 2.6
+        pytest.param(partial(median_mm, corrected, "plant"), (0.6,), id="one look, 4 m arm"),  # median: 0.6
+        pytest.param(
+            partial(median_mm, corrected, "plant_long_crane"), (0.8,), id="one look, crane"
+        ),  # median 0.4
+        pytest.param(
+            partial(median_mm, demonstration, "standard"), (3.0,), id="demonstration, look 1"
+        ),  # median 2.6
         pytest.param(partial(of_the_paper, (1, 2)), (7.0,), id="paper, second input"),  # all below 10 mm
         pytest.param(robust, (0.15, 2.2), id="hand-eye, 2 of 15 bad"),  # 0.08 degrees, 1.3 mm
     ],

@@ -50,7 +50,6 @@ def test_a_real_machine_is_drawn_without_camera_and_wall() -> None:
     assert real.settings.controller.commissioned is not None
     assert real.settings.scene == mobile.settings.scene
     law = settings_from(real.settings.arm, real.settings.controller).parking
-    assert law is not None
     assert law.oil_spring[0] > 0.0
 
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from foundation.recording.decoding import messages
+from foundation.recording.messages import fields_of
 from plant_emulator.core.faults.kinds import SupplyLost, ValveSlow
 from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.truth import PlantTruth
-from plant_emulator.shell.truth_recorder import TruthRecorder
+from plant_emulator.shell.truth_recorder import EVENT, TruthRecorder
 from testbed.recordings.plant_truth import FaultRecord, read_truth
 
 RUN = {"plant": {"step_ms": 0.5}, "scene": {"seed": 7}}
@@ -75,7 +77,9 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert [record.log_ns for record in recording.truths] == list(range(1000, 1050))
     assert [record.frame_id for record in recording.truths[:10]] == [*[None] * 4, 0, *[None] * 4, 1]
     assert all(same(record.truth, truth(number)) for number, record in enumerate(recording.truths))
-    assert recording.events == ((2000, 99, {"event": "status", "status": 3}),)
+    ((_, event),) = messages(tmp_path / "truth.mcap", (EVENT,))
+    assert (event.log_time, event.publish_time) == (2000, 99)
+    assert fields_of(event.data) == {"event": "status", "status": 3}
     slow = {"kind": "valve_slow", "joint": "lift", "bandwidth_share": 0.25}
     lost = {"kind": "supply_lost"}
     assert recording.faults == (

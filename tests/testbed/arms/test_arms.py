@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 import typer
-from typer.testing import CliRunner
 
 import longreach
 from foundation.configuration import laid_over, layers, parse_overrides
@@ -16,7 +15,9 @@ from testbed.arms import check_arm
 from testbed.cli.main import app
 from testbed.scenarios.arms import arm_directory, arm_names, arm_overrides
 from testbed.scenarios.scenario import load_scenario, load_settings
+from tests.support.commands import ran
 from tests.support.paths import CONFIGS
+from tests.testbed.cli.test_vocabulary import walked
 
 CRANE = CONFIGS / "arms/long_crane"
 
@@ -26,10 +27,6 @@ def written(directory: Path, **files: str) -> Path:
     for stem, text in files.items():
         (directory / f"{stem}.yaml").write_text(text, encoding="utf-8")
     return directory
-
-
-def run(*arguments: str) -> Any:
-    return CliRunner().invoke(app, [*arguments], catch_exceptions=False)
 
 
 # Layers
@@ -68,10 +65,6 @@ def test_an_arm_is_found_by_name_or_directory(tmp_path: Path) -> None:
     assert {"default", "long_crane", "rock_breaker"} <= set(arm_names(CONFIGS))
     assert arm_directory(CONFIGS, "long_crane") == CRANE
     assert arm_directory(CONFIGS, f"{tmp_path}/") == tmp_path
-    with pytest.raises(ConfigurationError, match="did you mean long_crane"):
-        arm_directory(CONFIGS, "long_crain")
-    with pytest.raises(ConfigurationError, match=r"known: .*rock_breaker"):
-        arm_directory(CONFIGS, "excavator")
     with pytest.raises(ConfigurationError, match="no directory"):
         arm_directory(CONFIGS, f"{tmp_path}/none")
 
@@ -130,8 +123,7 @@ def test_a_vane_drawn_as_a_cylinder_is_told() -> None:
 def test_a_file_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
     own = written(tmp_path / "own", base=f"over: {CONFIGS}\n", plant="watchdog_ms: -1\n")
     told = tmp_path / "found.json"
-    done = run("arm", "check", f"{own}/", "--config-dir", str(CONFIGS), "--json", str(told))
-    assert done.exit_code == 1
+    ran("arm", "check", f"{own}/", "--config-dir", CONFIGS, "--json", told, status=1)
     (finding,) = json.loads(told.read_text())["findings"]
     assert finding["name"] == "plant.yaml"
     assert "watchdog_ms" in finding["found"]
@@ -142,36 +134,27 @@ def test_a_file_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
 
 def test_an_arm_that_was_begun_is_the_one_it_was_begun_with(tmp_path: Path) -> None:
     own = tmp_path / "own"
-    assert run("arm", "new", f"{own}", "--like", "long_crane", "--config-dir", str(CONFIGS)).exit_code == 0
+    ran("arm", "new", own, "--like", "long_crane", "--config-dir", CONFIGS)
     made, like = load_settings(own, {}), load_settings(CRANE, {})
     assert made.arm.name == "own"
     assert made._replace(arm=like.arm) == like
     assert made.arm.model_copy(update={"name": like.arm.name}) == like.arm
-    again = run("arm", "new", f"{own}", "--config-dir", str(CONFIGS))
-    assert again.exit_code == 2
+    ran("arm", "new", own, "--config-dir", CONFIGS, status=2)
     (own / "plant.yaml").write_text("geometry: {telescope_m: 2.0}\n", encoding="utf-8")
-    assert run("arm", "check", f"{own}/", "--config-dir", str(CONFIGS)).exit_code == 1
+    ran("arm", "check", f"{own}/", "--config-dir", CONFIGS, status=1)
 
 
 def test_the_option_takes_the_place_of_the_directory(tmp_path: Path) -> None:
     made = tmp_path / "crane.xml"
-    exported = run("export", "urdf", "--out", str(made), "--arm", "long_crane", "--config-dir", str(CONFIGS))
-    assert exported.exit_code == 0
+    ran("export", "urdf", "--out", made, "--arm", "long_crane", "--config-dir", CONFIGS)
     assert "long-crane" in made.read_text(encoding="utf-8")
-
-
-def commands(found: Any, path: str) -> dict[str, Any]:
-    if not hasattr(found, "list_commands"):
-        return {path: found}
-    ctx = typer.Context(found)
-    inner = {name: found.resolve_command(ctx, [name])[1] for name in found.list_commands(ctx)}
-    return {key: leaf for name, one in inner.items() for key, leaf in commands(one, f"{path} {name}").items()}
 
 
 @pytest.mark.slow("a whole demonstration in lockstep")
 def test_every_command_that_reads_a_configuration_takes_an_arm() -> None:
-    found = commands(typer.main.get_command(app), "longreach")
-    reads = {path: command for path, command in found.items() if "config_dir" in names(command)}
+    root = typer.main.get_command(app)
+    found = walked(root, (), typer.Context(root))
+    reads = {path: command for path, command in found if "config_dir" in names(command)}
     assert len(reads) > 15
     without = {path for path, command in reads.items() if not {"arm", "chosen"} & names(command)}
     assert without == set()
@@ -183,8 +166,6 @@ def names(command: Any) -> set[str]:
 
 def test_the_interface_for_python_takes_an_arm() -> None:
     assert longreach.arm("rock_breaker", config_dir=CONFIGS).description.name.startswith("rock-breaker")
-    with pytest.raises(ConfigurationError, match="did you mean"):
-        longreach.arm("rock_braker", config_dir=CONFIGS)
     crane = longreach.plant(arm="long_crane", config_dir=CONFIGS)
     assert crane.truth.X_BT[0, 3] == pytest.approx(8.3, abs=0.2)
 
@@ -192,9 +173,7 @@ def test_the_interface_for_python_takes_an_arm() -> None:
 def test_a_broken_arm_is_named_and_the_others_are_listed(tmp_path: Path) -> None:
     shutil.copytree(CONFIGS, tmp_path / "configs")
     (tmp_path / "configs/arms/rock_breaker/plant.yaml").write_text("valves: [")
-    done = run(
-        "arm", "list", "--config-dir", str(tmp_path / "configs"), "--json", str(tmp_path / "arms.json")
-    )
+    done = ran("arm", "list", "--config-dir", tmp_path / "configs", "--json", tmp_path / "arms.json")
     found = json.loads((tmp_path / "arms.json").read_text())
     listed = {arm["arm"] for arm in found["arms"]}
     assert listed >= {"default", "long_crane"}

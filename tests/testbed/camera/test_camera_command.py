@@ -8,12 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
 from protocol.errors import ConfigurationError
 from testbed.camera.pairs import require_whole, write_whole_film
-from testbed.cli.main import app
+from tests.support.commands import ran
 from tests.support.paths import CONFIGS
 from tests.vision_pc.config.test_camera_files import ZED
 from tests.vision_pc.perception.test_pair_check import SIZE, pair_with
@@ -37,10 +35,6 @@ CONFIG = ["--config-dir", str(CONFIGS)]
 SMALL = ["--set", f"vision.camera.width_px={SIZE[0]}", "--set", f"vision.camera.height_px={SIZE[1]}"]
 
 
-def ended(*words: object) -> Result:
-    return CliRunner().invoke(app, ["camera", *map(str, words)], terminal_width=200)
-
-
 def pictures(directory: Path, down: float, count: int = 3, *, exchanged: bool = False) -> Path:
     """Pairs whose right rows are ``down`` px too low, as files left… and right…."""
     directory.mkdir()
@@ -54,26 +48,22 @@ def pictures(directory: Path, down: float, count: int = 3, *, exchanged: bool = 
 
 def test_a_film_of_the_raw_camera_becomes_a_file_that_rectifies_it(tmp_path: Path) -> None:
     film, file, figures = tmp_path / "boards.avi", tmp_path / "camera.yaml", tmp_path / "figures.json"
-    made = ended("emulate", *BOARD, "--pairs", 9, "--out", film, *HALVED, *CONFIG)
-    assert made.exit_code == 0, made.output
-    done = ended("calibrate", film, *BOARD, "--out", file, "--json", figures, *HALF_SIZE, *CONFIG)
-    assert done.exit_code == 0, done.output
+    ran("camera", "emulate", *BOARD, "--pairs", 9, "--out", film, *HALVED, *CONFIG)
+    ran("camera", "calibrate", film, *BOARD, "--out", file, "--json", figures, *HALF_SIZE, *CONFIG)
     found = read_calibration(file)
     assert found.right_position_m[0] == pytest.approx(0.11967, rel=0.02)
     assert found.left.fx_px == pytest.approx(266.7, rel=0.02)
     assert json.loads(figures.read_text())["rows_rms_px"] < 0.2
     use = [*HALF_SIZE, "--set", f"vision.camera.calibration={file}"]
-    raw = ended("check", film, "--board", "--pairs", 2, *BOARD, *HALF_SIZE, *CONFIG)
-    assert raw.exit_code == 1
-    assert "BAD: rows off, median" in raw.output
-    good = ended("check", film, "--board", "--pairs", 2, *BOARD, *use, *CONFIG)
-    assert good.exit_code == 0, good.output
+    check = ("camera", "check", film, "--board", "--pairs", 2, *BOARD, *CONFIG)
+    assert "BAD: rows off, median" in ran(*check, *HALF_SIZE, status=1).output
+    ran(*check, *use)
 
 
 def test_pictures_of_the_markers_show_them_to_both_eyes(tmp_path: Path) -> None:
     """The last step of "Your camera in an hour": the film of the board had none."""
-    made = ended("emulate", "--markers", "--pairs", 2, "--out", tmp_path / "markers", *HALVED, *CONFIG)
-    assert made.exit_code == 0, made.output
+    to = tmp_path / "markers"
+    made = ran("camera", "emulate", "--markers", "--pairs", 2, "--out", to, *HALVED, *CONFIG)
     assert "2 raw pairs of the markers" in made.output
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
     for eye in ("left", "right"):
@@ -88,40 +78,30 @@ def test_pictures_of_the_markers_show_them_to_both_eyes(tmp_path: Path) -> None:
 def test_the_check_says_what_is_bad_and_ends_accordingly(
     tmp_path: Path, down: float, exchanged: bool, bad: str
 ) -> None:
-    done = ended("check", pictures(tmp_path / "pairs", down, exchanged=exchanged), *SMALL, *CONFIG)
-    assert done.exit_code == (1 if bad else 0), done.output
+    shown = pictures(tmp_path / "pairs", down, exchanged=exchanged)
+    done = ran("camera", "check", shown, *SMALL, *CONFIG, status=1 if bad else 0)
     assert (f"BAD: {bad}" if bad else "verdict: good") in done.output
 
 
-@pytest.mark.parametrize(
-    ("made", "told"),
-    [
-        ([], "no such directory, film or device"),
-        (["left1.png"], "1 pictures of the left eye and 0 of the right one"),
-    ],
-)
-def test_a_source_that_holds_no_pairs_is_named(tmp_path: Path, made: list[str], told: str) -> None:
-    directory = tmp_path / "pairs"
-    if made:
-        directory.mkdir()
-    for name in made:
-        cv2.imwrite(str(directory / name), np.zeros((4, 4), np.uint8))
-    for command in ("check", "calibrate"):
-        done = ended(command, directory, *CONFIG)
-        assert done.exit_code == 2
-        assert told in done.stderr
+@pytest.mark.parametrize("command", ["check", "calibrate"])
+def test_a_source_that_holds_no_pairs_is_named(tmp_path: Path, command: str) -> None:
+    cv2.imwrite(str(tmp_path / "left1.png"), np.zeros((4, 4), np.uint8))
+    done = ran("camera", command, tmp_path, *CONFIG, status=2)
+    assert "1 pictures of the left eye and 0 of the right one" in done.stderr
 
 
 def test_a_zed_file_is_converted_and_a_bad_size_is_named(tmp_path: Path) -> None:
     zed, to = tmp_path / "SN1.conf", tmp_path / "camera.yaml"
     zed.write_text(ZED)
-    assert ended("convert", zed, "--size", "1280x720", "--out", to).exit_code == 0
+    convert = ("camera", "convert")
+    ran(*convert, zed, "--size", "1280x720", "--out", to)
     assert read_calibration(to) == read_calibration(zed, (1280, 720))
-    assert "WIDTHxHEIGHT is wanted" in ended("convert", zed, "--size", "720p").stderr
-    assert "for pictures of 1280x720, --size says 640x360" in ended("convert", to, "--size", "640x360").stderr
-    asked = ended("convert", zed)
-    assert asked.exit_code == 2
-    assert "give --size WIDTHxHEIGHT of one eye" in asked.stderr
+    for words, told in (
+        ((zed, "--size", "720p"), "WIDTHxHEIGHT is wanted"),
+        ((to, "--size", "640x360"), "for pictures of 1280x720, --size says 640x360"),
+        ((zed,), "give --size WIDTHxHEIGHT of one eye"),
+    ):
+        assert told in ran(*convert, *words, status=2).stderr
 
 
 def test_a_film_that_a_full_disk_cut_is_not_whole(tmp_path: Path) -> None:

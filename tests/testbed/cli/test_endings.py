@@ -11,34 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
-from typer.testing import CliRunner
 
-from testbed.cli.main import app
+from tests.support.commands import ran
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
 
 LONGREACH = [sys.executable, "-m", "testbed.cli.main"]
-
-
-def ended(*arguments: str) -> Result:
-    """A command that has come to its end, expected as it is: none leaves with a traceback."""
-    done = CliRunner().invoke(app, list(arguments))
-    assert done.exception is None or isinstance(done.exception, SystemExit)
-    return done
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("conformance", "reference", "--host", "no.such.host.invalid"),
-        ("conformance", "coupler", "--host", "no.such.host.invalid"),
-    ],
-)
-def test_a_host_without_an_address_is_named(arguments: tuple[str, ...]) -> None:
-    done = ended(*arguments)
-    assert done.exit_code == 2
-    assert "longreach: configuration.unknown_host: host 'no.such.host.invalid'" in done.stderr
 
 
 @pytest.mark.parametrize("step", [("run", "monday"), ("list",), ("remove", "3")])
@@ -46,8 +24,7 @@ def test_a_session_without_a_rig_says_what_to_start(step: tuple[str, ...]) -> No
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as nobody:  # bound, never listening
         nobody.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{nobody.getsockname()[1]}"
-        done = ended("hand-eye", "session", *step, "--url", url)
-    assert done.exit_code == 2
+        done = ran("hand-eye", "session", *step, "--url", url, status=2)
     assert "longreach: link.rest: " in done.stderr
     assert "`longreach up` starts" in done.stderr
 
@@ -67,8 +44,7 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     file = tmp_path / "file"
     file.write_text("not a directory")
     began_s = time.process_time()
-    done = ended(*(argument.format(file=file) for argument in arguments))
-    assert done.exit_code == 2
+    done = ran(*(argument.format(file=file) for argument in arguments), status=2)
     assert "longreach: " in done.stderr
     assert str(file) in done.stderr
     assert time.process_time() - began_s < 30.0
@@ -144,8 +120,7 @@ def test_a_taken_port_is_named_before_anything_starts(command: tuple[str, ...], 
         holder.listen()
         port = holder.getsockname()[1]
         runs = tmp_path / "runs"
-        done = ended(*command, "--out", str(runs), "--set", f"vision.api.port={port}")
-    assert done.exit_code == 2
+        done = ran(*command, "--out", runs, "--set", f"vision.api.port={port}", status=2)
     assert f"rest port vision.api.port = 127.0.0.1:{port}: Address already in use" in done.stderr
     assert f"held by process {os.getpid()} (" in done.stderr
     assert "--free-ports" in done.stderr

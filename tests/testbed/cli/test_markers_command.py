@@ -6,9 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from testbed.cli.main import app
+from tests.support.commands import ran
 from vision_pc.core.perception.picture_markers import search
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
@@ -61,10 +60,7 @@ def test_every_size_that_opencv_has_of_a_family_is_known(name: str, tmp_path: Pa
     shown = np.full((200, 200), 255, np.uint8)
     shown[50:150, 50:150] = cv2.aruco.generateImageMarker(book, 17, 100)
     cv2.imwrite(str(tmp_path / "a.png"), shown)
-    result = CliRunner().invoke(
-        app, ["markers", str(tmp_path / "a.png"), "--dictionary", name, "--number", "17"]
-    )
-    assert result.exit_code == 0, result.output
+    ran("markers", tmp_path / "a.png", "--dictionary", name, "--number", 17)
 
 
 def test_directories_are_paired_by_name_listed_drawn_and_written(tmp_path: Path) -> None:
@@ -73,28 +69,14 @@ def test_directories_are_paired_by_name_listed_drawn_and_written(tmp_path: Path)
         file.parent.mkdir(exist_ok=True)
         cv2.imwrite(str(file), picture({3: (x, 30.0, 40.0)}))
     told = tmp_path / "markers.json"
-    options = [
-        "--dictionary",
-        "DICT_4X4_1000",
-        "--right",
-        right,
-        "--out",
-        tmp_path / "drawn",
-        "--json",
-        told,
-    ]
-    result = CliRunner().invoke(app, ["markers", str(left), *map(str, options)])
-    assert result.exit_code == 0, result.output
-    assert "without a partner: 1 pictures of the left eye and 0 of the right one (7.png)" in result.output
+    command = ("markers", left, "--dictionary", "DICT_4X4_1000")
+    shown = ran(*command, "--right", right, "--out", tmp_path / "drawn", "--json", told).output
+    assert "without a partner: 1 pictures of the left eye and 0 of the right one (7.png)" in shown
     (seen,) = json.loads(told.read_text())["pictures"]
     apart = np.array(seen["markers"][0]["corners_px"]) - seen["right_markers"][0]["corners_px"]
     np.testing.assert_allclose(apart.mean(axis=0), [8.5, 0.0], atol=0.1)
     assert len(list((tmp_path / "drawn").iterdir())) == 2
-    missing = CliRunner().invoke(
-        app, ["markers", str(left), "--dictionary", "DICT_4X4_1000", "--number", "4"]
-    )
-    assert missing.exit_code == 1
-    assert "INCOMPLETE" in missing.output
+    assert "INCOMPLETE" in ran(*command, "--number", 4, status=1).output
 
 
 @pytest.mark.parametrize(
@@ -109,22 +91,5 @@ def test_a_pair_that_is_none_is_questioned(tmp_path: Path, x: float, y: float, t
     left, right = tmp_path / "left.png", tmp_path / "right.png"
     cv2.imwrite(str(left), picture({3: (60.0, 30.0, 40.0)}))
     cv2.imwrite(str(right), picture({3: (x, y, 40.0)}))
-    words = ["markers", str(left), "--right", str(right), "--dictionary", "DICT_4X4_1000"]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 1
-    assert told in " ".join(result.output.split())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "cause"),
-    [
-        (["{here}/none.png"], "configuration.bad_recording"),
-        (["{here}/a.png", "--dictionary", "DICT_9X9"], "configuration.unknown_dictionary"),
-        (["{here}/a.png", "{here}/a.png", "--right", "{here}/a.png"], "configuration.bad_pairs"),
-    ],
-)
-def test_what_cannot_be_read_is_named(tmp_path: Path, arguments: list[str], cause: str) -> None:
-    cv2.imwrite(str(tmp_path / "a.png"), np.full((64, 64), 90, np.uint8))
-    result = CliRunner().invoke(app, ["markers", *(word.format(here=tmp_path) for word in arguments)])
-    assert result.exit_code == 2
-    assert f"longreach: {cause}: " in result.stderr
+    shown = ran("markers", left, "--right", right, "--dictionary", "DICT_4X4_1000", status=1)
+    assert told in " ".join(shown.output.split())

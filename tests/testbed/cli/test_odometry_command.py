@@ -6,26 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from foundation.configuration import load
-from testbed.cli.main import app
+from testbed.scenarios.scenario import Settings
+from tests.support.commands import ran
 from tests.vision_pc.odometry.test_odometry import pair_at
 from tests.vision_pc.rendering import wall_texture
 from tests.vision_pc.shell.test_sequence import YAML, written
-from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 
 
-@pytest.fixture
-def vision_config() -> VisionConfig:
-    return load(VisionConfig, Path("configs/vision.yaml"))
-
-
 @pytest.mark.slow("pictures are drawn and followed")
-def test_a_recording_becomes_a_trajectory(vision_config: VisionConfig, tmp_path: Path) -> None:
-    camera = intrinsics.calibration(vision_config.camera)
+def test_a_recording_becomes_a_trajectory(shipped_settings: Settings, tmp_path: Path) -> None:
+    camera = intrinsics.calibration(shipped_settings.vision.camera)
     true = [se3.transform(np.eye(3), (0.04 * k, 0.01 * k, 0.0)) for k in range(3)]
     texture = wall_texture(1, 22.0, 1000)
     left, right = written(
@@ -34,8 +27,6 @@ def test_a_recording_becomes_a_trajectory(vision_config: VisionConfig, tmp_path:
     (tmp_path / "calib.yaml").write_text(YAML)
     path = tmp_path / "path.tum"
     arguments = ["--left", left, "--right", right, "--calib", tmp_path / "calib.yaml", "--out", path]
-    result = CliRunner().invoke(app, ["odometry", *map(str, arguments)])
-    assert result.exit_code == 0, result.output
-    assert "3 pairs, none lost" in result.output
+    assert "3 pairs, none lost" in ran("odometry", *arguments).output
     rows = np.loadtxt(path)
     np.testing.assert_allclose(rows[:, 1:4], [X[:3, 3] for X in true], atol=0.2e-3)

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from testbed.cli.main import app
+from tests.support.commands import ran
 from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.slow("new interpreters, one a command")
@@ -36,6 +35,24 @@ WRONG = (  # command, cause, what the line says beside it
     ("hand-eye session list --url nonsense", "link.rest", "nonsense"),
     ("commission --joints slw --out {tmp}/b", "configuration.unknown_joint", "known: slew, lift"),
     ("markers {file}", "configuration.bad_recording", "no picture"),
+    ("markers {file} --dictionary DICT_9X9", "configuration.unknown_dictionary", "DICT_4X4_50"),
+    ("markers {file} {file} --right {file}", "configuration.bad_pairs", "2 left pictures, but 1 right"),
+    ("export urdf --set arm.dh=3 --out {tmp}/a.urdf", "configuration.tuple_type", "arm.yaml: dh = 3"),
+    ("target --board 9x6 --size-mm 60 --out {tmp}/a.pdf", "refused.target.does_not_fit", "--size-mm"),
+    ("target --marker 1000 --out {tmp}/a.pdf", "refused.target.number", "markers 0 to 999"),
+    ("target --marker -1 --out {tmp}/a.pdf", "refused.target.number", "not -1"),
+    ("target --marker 1 --dictionary DICT_9X9 --out {tmp}/a.pdf", "refused.target.dictionary", "DICT_9X9"),
+    ("target --marker 1 --paper a9 --out {tmp}/a.pdf", "refused.target.paper", "'a9'"),
+    ("target --board 9by6 --out {tmp}/a.pdf", "refused.target.board", "9by6"),
+    ("target --board 9x7 --charuco --marker-mm 30 --out {tmp}/a.pdf", "refused.target.board", "do not fit"),
+    (
+        "target --board 12x12 --charuco --size-mm 10 --dictionary DICT_4X4_50 --out {tmp}/a.pdf",
+        "refused.target.board", "72 markers are needed",
+    ),
+    ("target --board 9x6 --marker 1 --out {tmp}/a.pdf", "refused.target.which", "one of"),
+    ("target --out {tmp}/a.pdf", "refused.target.which", "one of"),
+    ("conformance reference --host no.such.host.invalid", "configuration.unknown_host", "'no.such.host."),
+    ("conformance coupler --host no.such.host.invalid", "configuration.unknown_host", "'no.such.host."),
     ("odometry --left /none --right /none --calib /none", "configuration.bad_sequence", "/none: no such"),
     ("experiment positioning --looks 3", "usage.bad_value", "not an option of --method corrected"),
     ("conformance reference --case 9999", "conformance.unknown_case", "see --list"),
@@ -52,9 +69,9 @@ def test_what_is_wrong_is_one_line_that_names_it(
     monkeypatch.chdir(ROOT)
     file = tmp_path / "file"
     file.write_text("neither JSON, nor pictures, nor a directory\n")
-    done = CliRunner().invoke(app, [word.format(tmp=tmp_path, file=file) for word in words.split()])
-    assert done.exit_code == 2, done.output
+    done = ran(*(word.format(tmp=tmp_path, file=file) for word in words.split()), status=2)
     lines = done.stderr.splitlines()
     assert len(lines) == 1, lines
     assert lines[0].startswith(f"longreach: {cause}: ")
     assert told in lines[0]
+    assert {path.name for path in tmp_path.iterdir() if path.suffix} == set()

@@ -43,3 +43,8 @@ class PinocchioReader:
 
 
 READERS = (MujocoReader, PinocchioReader)
+
+_OFF = {"enabled": False}
+_ERRORS = "encoder_offsets encoder_noise backlash geometry base_tilt friction leakage valve_deadband"
+STIFF = {"plant": {"errors": dict.fromkeys(_ERRORS.split(), _OFF), "flexibility": _OFF}}
+"""Overrides of a plant that moves as its drawing says."""

@@ -4,12 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from foundation.configuration import load
 from nominal_arm.description import JOINT_NAMES, NominalArm
-from testbed.cli.main import app
 from testbed.exports.arm_tree import nominal_tree, roll_pitch_yaw, urdf
 from tests.support.paths import CONFIGS
 from tests.testbed.exports.readers import READERS, MujocoReader
@@ -36,16 +34,3 @@ def test_roll_pitch_and_yaw_give_the_rotation_back_also_at_gimbal_lock(pitch: fl
         r, p, w = roll_pitch_yaw(z @ y @ x)
         again = exp_so3([0.0, 0.0, w]) @ exp_so3([0.0, p, 0.0]) @ exp_so3([r, 0.0, 0.0])
         np.testing.assert_allclose(again, z @ y @ x, rtol=0.0, atol=4e-15)
-
-
-@pytest.mark.parametrize(
-    ("assignment", "refusal"),
-    [("arm.dh=3", "arm.yaml: dh = 3"), ("crane.dh=3", "configuration.unknown_file")],
-)
-def test_what_cannot_be_exported_is_refused_by_name(assignment: str, refusal: str, tmp_path: Path) -> None:
-    file = tmp_path / "arm"
-    options = ["--set", assignment, "--config-dir", str(CONFIGS), "--out", str(file)]
-    done = CliRunner().invoke(app, ["export", "urdf", *options])
-    assert done.exit_code == 2
-    assert refusal in done.stderr
-    assert not file.exists()

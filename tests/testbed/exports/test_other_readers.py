@@ -5,38 +5,32 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.model import build_model
-from testbed.cli.main import app
 from testbed.scenarios.scenario import Settings, load_settings
+from tests.support.commands import ran
 from tests.support.paths import CONFIGS
-from tests.testbed.exports.readers import MujocoReader, PinocchioReader
+from tests.testbed.exports.readers import STIFF, MujocoReader, PinocchioReader
 from vision_pc.core.se3 import Array
 
 POSES = 20
 SHAPES = 15  # five rods: a cylinder and two spheres each
 INVENTED_KG = 1.0  # that urchin gives to a link without a mass
-ERRORS_OFF = "encoder_offsets encoder_noise backlash geometry base_tilt friction leakage valve_deadband"
 
 
 @pytest.fixture(scope="module")
 def settings() -> Settings:
-    off = {"enabled": False}
-    stiff = {"errors": dict.fromkeys(ERRORS_OFF.split(), off), "flexibility": off}
-    return load_settings(CONFIGS, {"plant": stiff})
+    return load_settings(CONFIGS, STIFF)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The nominal arm with masses."""
     folder = tmp_path_factory.mktemp("exports")
-    command = ["export", "urdf", "--masses", "--out", str(folder / "arm.urdf"), "--config-dir", str(CONFIGS)]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.output
+    ran("export", "urdf", "--masses", "--out", folder / "arm.urdf", "--config-dir", CONFIGS)
     return folder
 
 

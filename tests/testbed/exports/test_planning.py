@@ -8,21 +8,18 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from typer.testing import CliRunner
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.model import build_model
-from testbed.cli.main import app
 from testbed.exports.arm_tree import RADIUS_M, nominal_tree, urdf
 from testbed.exports.planning import for_planning
 from testbed.scenarios.scenario import Settings, load_settings
+from tests.support.commands import ran
 from tests.support.paths import CONFIGS, ROOT
-from tests.testbed.exports.readers import PinocchioReader
+from tests.testbed.exports.readers import STIFF, PinocchioReader
 from vision_pc.core.se3 import Array, inverse
-
-ERRORS_OFF = "encoder_offsets encoder_noise backlash geometry base_tilt friction leakage valve_deadband"
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +29,7 @@ def settings() -> Settings:
 
 def exported(folder: Path, *options: str) -> Path:
     file = folder / f"arm.{options[0]}"
-    done = CliRunner().invoke(app, ["export", *options, "--out", str(file), "--config-dir", str(CONFIGS)])
-    assert done.exit_code == 0, done.output
+    ran("export", *options, "--out", file, "--config-dir", CONFIGS)
     return file
 
 
@@ -87,10 +83,7 @@ def test_shapes_are_read(plain: Path) -> None:
 
 
 def test_masses_move_as_the_stiff_plant_does(settings: Settings, tmp_path: Path) -> None:
-    off = {"enabled": False}
-    stiff = {"errors": dict.fromkeys(ERRORS_OFF.split(), off), "flexibility": off}
-    plant = load_settings(CONFIGS, {"plant": stiff}).plant
-    model, chain, _ = build_model(plant)
+    model, chain, _ = build_model(load_settings(CONFIGS, STIFF).plant)
     driven = [chain.names.index(name) for name in JOINT_NAMES]
     reader = PinocchioReader(exported(tmp_path, "urdf", "--masses"))
     rng = np.random.default_rng(7)
@@ -115,7 +108,6 @@ def test_mujoco_reads_shapes_and_masses_and_lets_the_arm_fall(tmp_path: Path) ->
 def test_ros2_control_finds_every_joint_and_the_bridges_topics(settings: Settings) -> None:
     root = etree.fromstring(urdf(for_planning(nominal_tree(settings.arm), settings)).encode())
     block = root.find("ros2_control")
-    assert block is not None
     assert [one.get("name") for one in block.findall("joint")] == list(JOINT_NAMES)
     said = {one.get("name"): one.text for one in block.iter("param")}
     assert said["trigger_joint_command_threshold"] == "-1", "a command that holds is sent too"

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from laboratory.experiments.hand_eye import scenes
 from protocol.errors import LongreachError
-from testbed.cli.main import app
 from testbed.hand_eye.importer import FORMAT, load
+from tests.support.commands import ran
+from tests.testbed.hand_eye.test_hand_eye_files import saved
 from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import judgement
@@ -138,12 +138,13 @@ def test_a_bad_file_is_answered_rightly(bad: BadFile, tmp_path: Path) -> None:
 
 
 def test_the_good_file_they_are_made_of_is_good(tmp_path: Path) -> None:
-    file = tmp_path / "samples.json"
-    file.write_text(json.dumps(good_file(8, 1)), encoding="utf-8")
-    result = CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--json", str(tmp_path / "x.json")])
-    assert result.exit_code == 0, result.output
-    assert "verdict: good" in result.output
-    verdict = json.loads((tmp_path / "x.json").read_text())["verdict"]
+    file = saved(tmp_path, good_file(8, 1))
+    shown = ran("hand-eye", "solve", file, "--json", tmp_path / "x.json").output
+    assert "verdict: good" in shown
+    figures = json.loads((tmp_path / "x.json").read_text())
+    assert " ".join(f"{1e3 * p:.3f}" for p in figures["X"]["p_m"]) in shown
+    assert [len(figures["samples"]), figures["certificate"]["holds"]] == [8, True]
+    verdict = figures["verdict"]
     assert verdict["word"] == "good"
     assert verdict["scale"]["factor"] == pytest.approx(1.0, abs=5.0 * verdict["scale"]["std"])
     assert verdict["next_best_noise_ratio"] > 5.0
@@ -152,15 +153,11 @@ def test_the_good_file_they_are_made_of_is_good(tmp_path: Path) -> None:
 def test_a_refused_file_gives_its_number_only_as_given(tmp_path: Path) -> None:
     good = good_file(8, 1)
     good["setup"] = "eye-to-hand"
-    file = tmp_path / "samples.json"
-    file.write_text(json.dumps(good), encoding="utf-8")
-    refused = CliRunner().invoke(app, ["hand-eye", "solve", str(file)])
-    assert refused.exit_code != 0
-    assert "residuals" not in refused.output
-    told = CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--as-given"])
-    assert told.exit_code == 0, told.output
-    assert "verdict: refused" in told.output
-    assert "residuals" in told.output
+    file = saved(tmp_path, good)
+    assert "residuals" not in ran("hand-eye", "solve", file, status=2).output
+    told = ran("hand-eye", "solve", file, "--as-given").output
+    assert "verdict: refused" in told
+    assert "residuals" in told
 
 
 def test_a_questioned_file_gives_its_number_and_status_1(tmp_path: Path) -> None:
@@ -169,10 +166,8 @@ def test_a_questioned_file_gives_its_number_and_status_1(tmp_path: Path) -> None
     for sample in good["samples"]:
         for row in sample["camera"][:3]:
             row[3] *= 1.03
-    file = tmp_path / "samples.json"
-    file.write_text(json.dumps(good), encoding="utf-8")
-    said = CliRunner().invoke(app, ["hand-eye", "solve", str(file)])
-    assert "verdict: questioned" in said.output
-    assert "residuals" in said.output
-    assert said.exit_code == 1
-    assert CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--as-given"]).exit_code == 0
+    file = saved(tmp_path, good)
+    questioned = ran("hand-eye", "solve", file, status=1).output
+    assert "verdict: questioned" in questioned
+    assert "residuals" in questioned
+    ran("hand-eye", "solve", file, "--as-given")

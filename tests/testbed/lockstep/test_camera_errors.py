@@ -63,7 +63,6 @@ def along_the_legs() -> tuple[Stage, Watcher[SimulatedFrame]]:
 
 def found(watcher: Watcher[SimulatedFrame]) -> CameraErrors:
     newest = watcher.samples[-1].observation
-    assert newest is not None
     assert newest.errors is not None
     return newest.errors
 
@@ -91,7 +90,6 @@ def way_by_odometry(one: Stage, previous: FrameObservation | None) -> Array:
     odometry = one.sensor.odometry(previous)
     steps = np.linspace([0.0, 0.0, 0.0], [0.25, -0.2, 0.45], 25)
     poses = [odometry.process(one.exposed(one.moved(step))) for step in steps]
-    assert poses[-1] is not None
     return np.asarray(poses[-1].X_C0C[:3, 3] - steps[-1])
 
 
@@ -101,7 +99,6 @@ def test_odometry_of_a_long_way_gains_what_was_found(
     """Beyond the legs, but for a length that look and odometry share."""
     one, watcher = along_the_legs
     observation = watcher.samples[-1].observation
-    assert observation is not None
     off = []
     for previous in (observation, observation._replace(errors=None)):
         error, step = way_by_odometry(one, previous), np.array([0.25, -0.2, 0.45])
@@ -115,7 +112,6 @@ def test_later_pictures_do_not_change_what_was_found(
 ) -> None:
     one, watcher = along_the_legs
     before = watcher.samples[-1].observation
-    assert before is not None
     late = one.exposed(one.truth)._replace(capture_ns=before.capture_ns + 600_000_000_000)
     after = one.sensor.observe(late, before)
     assert after.errors is before.errors
@@ -128,5 +124,4 @@ def test_legs_that_show_too_little_find_nothing(why: str) -> None:
     frames = legs(one)
     shown = {"too near together": frames[-1:] * 14, "too few": frames[::5], "not asked for": frames[::2]}
     newest = watched(one, shown[why]).samples[-1].observation
-    assert newest is not None
     assert newest.errors is None

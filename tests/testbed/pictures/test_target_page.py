@@ -8,9 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
-from testbed.cli.main import app
+from tests.support.commands import ran
 from vision_pc.config.choices import Detector
 from vision_pc.core.perception.picture_markers import search
 from vision_pc.core.perception.zhang_intrinsics import (
@@ -28,15 +27,10 @@ _PER_MM = 8  # px
 _NUMBER = re.compile(rb"-?\d*\.?\d+")
 
 
-def printed(to: Path, *words: str) -> Result:
-    return CliRunner().invoke(app, ["target", *words, "--out", str(to)])
-
-
 def page_of(pdf: Path) -> tuple[Array, list[Array]]:
     """The page's size in mm, and its filled rectangles (n, 4) x, y, width, height from the upper left."""
     data = pdf.read_bytes()
     box = re.search(rb"/MediaBox \[([^\]]*)\]", data)
-    assert box is not None
     size = np.array([float(number) for number in box[1].split()[2:]])
     paths = []
     for stream in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", data, re.DOTALL):
@@ -75,7 +69,7 @@ def raster(size: Array, rectangles: list[Array]) -> Image:
 def test_a_marker_has_its_side_and_its_modules_and_is_found(tmp_path: Path, dictionary: str) -> None:
     to, told = tmp_path / "page.pdf", tmp_path / "told.json"
     words = ["--marker", "582", "--dictionary", dictionary, "--size-mm", "56", "--json", str(told)]
-    assert printed(to, *words).exit_code == 0
+    ran("target", *words, "--out", to)
     size, (cells, *rulers) = page_of(to)
     np.testing.assert_allclose(size, [210.0, 297.0], atol=0.05)
     assert len(rulers) == 2
@@ -98,14 +92,14 @@ def test_a_marker_has_its_side_and_its_modules_and_is_found(tmp_path: Path, dict
 
 @pytest.mark.slow("boards are drawn and found")
 def test_boards_have_their_squares_and_are_found(tmp_path: Path) -> None:
-    assert printed(tmp_path / "a.pdf", "--board", "9x6", "--size-mm", "25").exit_code == 0
+    ran("target", "--board", "9x6", "--size-mm", "25", "--out", tmp_path / "a.pdf")
     size, drawn = page_of(tmp_path / "a.pdf")
     np.testing.assert_allclose(size, [297.0, 210.0], atol=0.05)  # turned across
     view = find_checkerboard(raster(size, drawn), Checkerboard(9, 6, 0.025), Detector.SECTORS, "a")
     apart = np.linalg.norm(view.pixels[0] - view.pixels[-1]) / _PER_MM
     assert apart == pytest.approx(25.0 * np.hypot(8, 5), abs=0.05)
     words = ["--board", "6x8", "--charuco", "--size-mm", "24", "--marker-mm", "18", "--paper", "letter"]
-    assert printed(tmp_path / "b.pdf", *words).exit_code == 0
+    ran("target", *words, "--out", tmp_path / "b.pdf")
     size, drawn = page_of(tmp_path / "b.pdf")
     np.testing.assert_allclose(size, [215.9, 279.4], atol=0.05)
     board = Charuco(6, 8, 0.024, 0.018, cv2.aruco.DICT_5X5_1000)
@@ -118,33 +112,10 @@ def test_boards_have_their_squares_and_are_found(tmp_path: Path) -> None:
 
 
 def test_rulers_are_100_mm_and_clear_of_the_target(tmp_path: Path) -> None:
-    assert printed(tmp_path / "a.pdf", "--board", "9x6", "--size-mm", "25.1").exit_code == 0
+    ran("target", "--board", "9x6", "--size-mm", "25.1", "--out", tmp_path / "a.pdf")
     _, (cells, below, left) = page_of(tmp_path / "a.pdf")
     for ruler, axis in ((below, 0), (left, 1)):
         ticks = np.sort(ruler[:-1, axis] + 0.5 * ruler[:-1, 2 + axis])
         np.testing.assert_allclose(ticks - ticks[0], np.arange(101.0), atol=0.01)
     assert cells[:, 0].min() > (left[:, 0] + left[:, 2]).max() + 5.0
     assert (cells[:, 1] + cells[:, 3]).max() < below[:, 1].min() - 5.0
-
-
-@pytest.mark.parametrize(
-    ("words", "cause"),
-    [
-        (["--board", "9x6", "--size-mm", "60"], "does_not_fit"),
-        (["--marker", "1000"], "number"),
-        (["--marker", "-1"], "number"),
-        (["--marker", "1", "--dictionary", "DICT_9X9"], "dictionary"),
-        (["--marker", "1", "--paper", "a9"], "paper"),
-        (["--board", "9by6"], "board"),
-        (["--board", "9x7", "--charuco", "--marker-mm", "30"], "board"),
-        (["--board", "12x12", "--charuco", "--size-mm", "10", "--dictionary", "DICT_4X4_50"], "board"),
-        (["--board", "9x6", "--marker", "1"], "which"),
-        ([], "which"),
-    ],
-)
-def test_what_cannot_be_printed_is_one_line(tmp_path: Path, words: list[str], cause: str) -> None:
-    done = printed(tmp_path / "a.pdf", *words)
-    assert done.exit_code == 2
-    assert done.stderr.startswith(f"longreach: refused.target.{cause}: ")
-    assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "a.pdf").exists()

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from protocol.errors import ConfigurationError
 from testbed.reporting.run_directory import run_directory
 
 
@@ -28,10 +27,3 @@ def test_a_run_directory_without_results_does_not_stay(tmp_path: Path) -> None:
     with run_directory(runs) as directory:
         (directory / "report.html").write_text("a result")
     assert directory.is_dir()
-
-
-def test_a_run_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no directory")
-    with pytest.raises(ConfigurationError) as refused, run_directory(tmp_path / "file"):
-        pass
-    assert refused.value.cause == "output.unwritable"

@@ -1,13 +1,10 @@
 """ATE, RPE, scale and drift of trajectories whose errors are known."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from protocol.errors import ConfigurationError, RequestRefused
-from testbed.hand_eye.trajectories import load_tum
+from protocol.errors import ConfigurationError
 from testbed.reporting.trajectory_errors import errors_of_maps, trajectory_errors
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
@@ -107,20 +104,12 @@ def test_each_map_is_judged_and_a_short_one_spoils_no_other() -> None:
     maps = {0: poses(path())[:2], 1: poses(path())[5:]}
     errors = errors_of_maps(maps, *truth(), "truth")
     assert errors[0] is None
-    assert errors[1] is not None
     assert (errors[1].poses, round(errors[1].ate_mm, 6)) == (35, 0.0)
     with pytest.raises(ConfigurationError, match="do not overlap"):
         errors_of_maps({0: poses(path())[:2]}, *truth(), "truth")
 
 
-def test_truth_that_does_not_fit_is_named(tmp_path: Path) -> None:
+def test_truth_of_another_clock_is_named() -> None:
     times, true = truth()
     with pytest.raises(ConfigurationError, match="do not overlap"):
         trajectory_errors(poses(path()), times + 1000.0, true, "truth")
-    (tmp_path / "t.tum").write_text("0 1 2 3\n")
-    with pytest.raises(RequestRefused, match="line 1: 8 numbers are wanted, got 4"):
-        load_tum(tmp_path / "t.tum")
-    (tmp_path / "t.tum").write_text("1 4 5 6 0 0 0 1\n0 1 2 3 0 0 1 0\n2 4 5 6 0 0 0 1\n")
-    seconds, found = load_tum(tmp_path / "t.tum")
-    assert seconds.tolist() == [0.0, 1.0, 2.0]
-    np.testing.assert_allclose(found[0], se3.transform(np.diag([-1.0, -1.0, 1.0]), (1, 2, 3)), atol=1e-12)

@@ -55,7 +55,6 @@ def of_the_camera(settings: Settings) -> Iterator[Pair]:
 
 
 def of_the_backlash(settings: Settings) -> Iterator[Pair]:
-    assert settings.vision.hand_eye.arm is not None
     truths = settings.plant.errors.backlash.half_width_mrad
     for believed, true in zip(settings.vision.hand_eye.arm.play_mrad, truths, strict=True):
         yield "play_mrad", believed, true

@@ -5,11 +5,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from protocol.errors import LongreachError
 from testbed.camera.boards import read_april_grid
-from testbed.cli.main import app
+from tests.support.commands import ran
 from tests.support.paths import CONFIGS
 from vision_pc.config.camera_files.reading import read_calibration
 from vision_pc.core.perception import stereo_fit
@@ -148,11 +147,6 @@ def test_a_wrong_file_is_named(tmp_path: Path, was: str, becomes: str, cause: st
     assert refused.value.cause.startswith(cause)
 
 
-def test_kalibrs_file_is_read(tmp_path: Path) -> None:
-    (tmp_path / "grid.yaml").write_text(YAML, encoding="utf-8")
-    assert read_april_grid(tmp_path / "grid.yaml") == GRID
-
-
 TURNS = [(0, 0, 0), (30, 0, 5), (-30, 0, -5), (0, 30, 10), (0, -30, 90), (25, 25, 0), (-25, 25, 180),
          (25, -25, 20), (-25, -25, 0), (10, 10, 45), (-10, 30, -45), (30, -10, 0)]  # fmt: skip
 
@@ -169,17 +163,8 @@ def test_pairs_of_a_grid_become_a_calibration(tmp_path: Path) -> None:
             (tmp_path / eye).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / eye / f"{k:02d}.png"), grey.clip(0, 255).astype(np.uint8))
     (tmp_path / "grid.yaml").write_text(YAML, encoding="utf-8")
-    words = [
-        "camera",
-        "calibrate",
-        tmp_path,
-        "--target",
-        tmp_path / "grid.yaml",
-        "--out",
-        tmp_path / "out.yaml",
-    ]
-    done = CliRunner().invoke(app, [*map(str, words), "--config-dir", str(CONFIGS)], terminal_width=200)
-    assert done.exit_code == 0, done.output
+    files = (tmp_path, "--target", tmp_path / "grid.yaml", "--out", tmp_path / "out.yaml")
+    ran("camera", "calibrate", *files, "--config-dir", CONFIGS)
     found = read_calibration(tmp_path / "out.yaml")
     assert found.left.fx_px == pytest.approx(K[0, 0], rel=2e-3)
     assert found.left.cx_px == pytest.approx(K[0, 2], abs=2.0)

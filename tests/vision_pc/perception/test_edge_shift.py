@@ -26,13 +26,10 @@ def inward_px(picture: Image, camera: CameraCalibration, marker: Marker, finds: 
     """How far inside (mean, px, across an edge) the corners are found."""
     corners = exact_corners(camera.left, marker)
     rays = marker_edges.refine(picture, corners, lambda px: intrinsics.normalised(camera.left, px))
-    assert rays is not None
     seen = intrinsics.distorted(camera.left, rays)
     if finds:
         shift = edge_shift(picture, seen, cells_of(DICTIONARY, marker.marker_id))
-        assert shift is not None
         rays = marker_edges.refine(picture, seen, lambda px: intrinsics.normalised(camera.left, px), shift)
-        assert rays is not None
         seen = intrinsics.distorted(camera.left, rays)
     away = corners - corners.mean(axis=0)
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -74,7 +71,6 @@ def test_distances_by_a_camera_with_a_gamma_are_right(
     for finds in (False, True):
         settings = config.markers.model_copy(update={"finds_edge_shift": finds, "offset_std_px": 3.5})
         seen = look.observe(pair, camera, settings)
-        assert seen.X_CO is not None
         off[finds] = float(np.abs(se3.local(X_CO, seen.X_CO)[:3]).max())
     assert off[False] > 5e-3
     assert off[True] < 1.5e-3

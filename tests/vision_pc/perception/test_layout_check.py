@@ -40,7 +40,6 @@ def test_a_place_typed_wrong_is_questioned_with_its_marker_and_direction(
 ) -> None:  # fmt: skip
     settings = config.markers.model_copy(update={"residual_limit_px": residual_limit_px})
     found = seen(camera, typed(settings, number, **places)).misplaced
-    assert found is not None
     assert found.marker_id == number
     assert 1e3 * found.off_m == pytest.approx(off_mm, abs=1.5)
     assert f"marker {number} is seen" in str(found)
@@ -70,8 +69,6 @@ def test_a_look_questions_what_most_of_its_frames_question(
     right = wrong._replace(misplaced=None)
     other = wrong._replace(misplaced=MisplacedMarker(1, np.ones(2), np.ones(2)))
     doubted = misplaced_in_most([wrong, wrong, wrong, right, other])
-    assert doubted is not None
-    assert wrong.misplaced is not None
     assert doubted.marker_id == 2
     assert doubted.off_m == pytest.approx(wrong.misplaced.off_m)
     assert misplaced_in_most([wrong, wrong, right, right, other]) is None

@@ -7,10 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from protocol.errors import MeasurementFailed
-from testbed.cli.main import app
+from tests.support.commands import ran
 from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.board_finder import find_board, second_finders
@@ -99,10 +98,9 @@ def test_a_picture_without_a_wanted_marker_says_what_it_shows(
 ) -> None:
     assert callable(changed)
     cv2.imwrite(str(tmp_path / "a.png"), changed(picture("DICT_4X4_50", (0, 7, 23, 42))))
-    result = CliRunner().invoke(app, ["markers", str(tmp_path / "a.png")])
-    assert result.exit_code == 1
-    assert told in " ".join(result.output.split())
-    assert "4 squares look like markers" in " ".join(result.output.split())
+    shown = " ".join(ran("markers", tmp_path / "a.png", status=1).output.split())
+    assert told in shown
+    assert "4 squares look like markers" in shown
 
 
 OLD = Charuco(8, 6, 0.03, 0.022, cv2.aruco.DICT_5X5_100)
@@ -118,8 +116,6 @@ def test_charuco_of_before_4_6_is_found_and_told() -> None:
     assert second_finders(views) == [
         "1 of the boards found by the pattern of before OpenCV 4.6, which begins with a marker"
     ]
-    with pytest.raises(MeasurementFailed, match="0 ChArUco corners"):
-        find_board(np.full((720, 960), 200, np.uint8), OLD, "blank")
 
 
 def test_a_board_that_one_finder_misses_is_found_by_another(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,6 @@ def pair_with(down: float, disparity: float = 12.0, turn_deg: float = 0.0) -> St
 @pytest.mark.parametrize("down", [0.0, 0.4, -3.0, 9.5])
 def test_rows_that_are_off_are_measured(down: float) -> None:
     report = pair_check.rows_of([pair_check.matched(pair_with(down))], SIZE)
-    assert report is not None
     assert report.points > 200
     assert report.median_px == pytest.approx(down, abs=0.06)
     assert report.spread_px < 0.15
@@ -39,7 +38,6 @@ def test_rows_that_are_off_are_measured(down: float) -> None:
 
 def test_a_turned_eye_shows_by_place_and_in_the_spread() -> None:
     report = pair_check.rows_of([pair_check.matched(pair_with(0.0, turn_deg=0.8))], SIZE)
-    assert report is not None
     slope = np.radians(0.8) * SIZE[0] * 0.75
     across = report.cells_px[:, -1] - report.cells_px[:, 0]
     np.testing.assert_allclose(across, slope, atol=1.2)  # points are not evenly spread in a cell
@@ -49,7 +47,6 @@ def test_a_turned_eye_shows_by_place_and_in_the_spread() -> None:
 def test_exchanged_eyes_have_negative_disparities() -> None:
     pair = pair_with(0.0)
     report = pair_check.rows_of([pair_check.matched(pair._replace(left=pair.right, right=pair.left))], SIZE)
-    assert report is not None
     assert report.disparity_px == pytest.approx(-12.0, abs=0.1)
 
 

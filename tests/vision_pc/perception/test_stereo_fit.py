@@ -1,5 +1,7 @@
 """A raw stereo camera from exact corners with noise: found; too little is refused."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -28,14 +30,20 @@ def view_at(name: str, X: Array, rng: np.random.Generator) -> PairView | None:
     return PairView(name, BOARD, left + noise[0], right + noise[1])
 
 
-def views_of(seed: int, count: int, tilt_deg: float = 40.0) -> list[PairView]:
+def anywhere(rng: np.random.Generator) -> Array:
+    """A place of the board's middle before the camera, m."""
+    depth = rng.uniform(0.3, 0.7)
+    return np.array([rng.uniform(-0.9, 0.9) * depth, rng.uniform(-0.5, 0.5) * depth, depth])
+
+
+def views_of(
+    seed: int, count: int, tilt_deg: float = 40.0, place: Callable[[np.random.Generator], Array] = anywhere
+) -> list[PairView]:
     rng = np.random.default_rng(seed)
     views: list[PairView] = []
     while len(views) < count:
         R = se3.exp_so3(np.radians(rng.uniform(-tilt_deg, tilt_deg, 3)))
-        depth = rng.uniform(0.3, 0.7)
-        where = np.array([rng.uniform(-0.9, 0.9) * depth, rng.uniform(-0.5, 0.5) * depth, depth])
-        seen = view_at(f"{len(views):02d}", se3.transform(R, where - R @ BOARD.mean(axis=0)), rng)
+        seen = view_at(f"{len(views):02d}", se3.transform(R, place(rng) - R @ BOARD.mean(axis=0)), rng)
         if seen is not None:
             views.append(seen)
     return views
@@ -74,14 +82,7 @@ def test_too_few_and_too_alike_views_are_refused_by_name() -> None:
 
 
 def test_a_board_in_one_corner_is_refused_and_told_where_to_go() -> None:
-    rng = np.random.default_rng(6)
-    views: list[PairView] = []
-    while len(views) < 30:
-        R = se3.exp_so3(np.radians(rng.uniform(-40.0, 40.0, 3)))
-        where = np.array([rng.uniform(-0.95, -0.7), rng.uniform(-0.5, -0.3), 1.2])
-        seen = view_at(f"{len(views)}", se3.transform(R, where - R @ BOARD.mean(axis=0)), rng)
-        if seen is not None:
-            views.append(seen)
+    views = views_of(6, 30, place=lambda rng: rng.uniform([-0.95, -0.5, 1.2], [-0.7, -0.3, 1.2]))
     with pytest.raises(RequestRefused, match=r"hold it also to the .*lower right") as refused:
         stereo_fit.fit(views, SIZE, LensModel.BROWN_CONRADY, "drawn")
     assert refused.value.cause == "refused.camera.poor_coverage"

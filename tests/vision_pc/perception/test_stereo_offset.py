@@ -23,11 +23,6 @@ def test_a_calibration_off_by_pixels_is_corrected(
     seen = None
     for _ in range(4):
         seen = observed(camera, wide, (*object_markers(X_CO), tool_marker(X_CM)), generator, seen, truly)
-    assert seen is not None
-    assert seen.offset is not None
-    assert seen.X_CO is not None
-    assert seen.X_CM is not None
-    assert seen.cov_CO is not None
     assert abs(seen.offset.x_px - x_px) < 3.0 * seen.offset.std_x_px < 0.4
     assert abs(seen.offset.y_px - y_px) < 3.0 * seen.offset.std_y_px < 0.4
     assert np.abs(se3.local(X_CO, seen.X_CO)[:2]).max() < 0.5e-3

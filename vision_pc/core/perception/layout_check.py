@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision_pc.config.vision import MarkerSettings
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, nearest_rotation
 from vision_pc.core.types import FrameObservation, MarkerObservation, MisplacedMarker
 
 _SIGMAS = 4.0  # [D] of what hanging, printing and lens explain
@@ -75,7 +75,8 @@ def _places(
     """Each marker by its own corners alone: a pose of the whole would tilt until a wrong layout fits."""
     middles = np.array([one.X_CA[:3, 3] for one in seen])
     centre = middles.mean(axis=0)
-    R_OC = _turn(np.column_stack([layout - layout.mean(axis=0), np.zeros(len(seen))]), middles - centre)
+    there = np.column_stack([layout - layout.mean(axis=0), np.zeros(len(seen))])
+    R_OC = nearest_rotation(there.T @ (middles - centre))  # that takes the middles nearest to the layout
     off, std = np.zeros((len(seen), 3)), np.zeros((len(seen), 3))
     scale = float(np.hypot(settings.print_size_std, settings.focal_std))  # of a marker's own range
     for k, one in enumerate(seen):
@@ -86,12 +87,6 @@ def _places(
         std[k, :2] = np.hypot(place, scale * np.abs(R_OC @ middles[k])[:2])
         std[k, 2] = np.sqrt(2.0) * place / one.size
     return _PlacesInPlane(off, std, layout)
-
-
-def _turn(there: Array, here: Array) -> Array:
-    """The rotation (3, 3) that takes the points ``here`` (n, 3), about their mean, nearest to ``there``."""
-    U, _, Vt = np.linalg.svd(there.T @ here)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def _without(places: _PlacesInPlane, k: int) -> tuple[float, Array, Array]:

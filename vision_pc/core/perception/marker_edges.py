@@ -240,9 +240,9 @@ def _inner_edges(image: Image, H: Array, cells: Cells) -> tuple[Array, Array]:
 def _profile_shift(image: Image, H: Array, x: float, y: float, axis: int) -> float:
     """How far (px, along the axis) from (x, y) in cells an edge is seen; NaN where it cannot be told."""
     dx, dy = (_CELL_REACH, 0.0) if axis == 0 else (0.0, _CELL_REACH)
-    u, v = _pixel_of(H, x, y)
-    first_u, first_v = _pixel_of(H, x - dx, y - dy)
-    last_u, last_v = _pixel_of(H, x + dx, y + dy)
+    u, v = mapped(H, x, y)
+    first_u, first_v = mapped(H, x - dx, y - dy)
+    last_u, last_v = mapped(H, x + dx, y + dy)
     along_u, along_v = last_u - first_u, last_v - first_v
     length = np.hypot(along_u, along_v)
     if not length >= 2.0 * _CELL_REACH * _LEAST_CELL_PX:  # also NaN
@@ -258,7 +258,7 @@ def _profile_shift(image: Image, H: Array, x: float, y: float, axis: int) -> flo
 
 
 @kernel(nogil=True, inline="always")
-def _pixel_of(H: Array, x: float, y: float) -> tuple[float, float]:
-    """The pixel of a place in cells."""
+def mapped(H: Array, x: float, y: float) -> tuple[float, float]:
+    """Where the homography ``H`` (3, 3) takes a place."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from foundation.compiled import kernel
-from vision_pc.core.perception.marker_edges import grey_between
+from vision_pc.core.perception.marker_edges import grey_between, mapped
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
@@ -134,12 +134,12 @@ def _fitted(image: Image, quad: Array, cells: Array) -> tuple[_Guess, _Linearise
         damped = last.normal.copy()
         for k in range(_PARAMETERS):
             damped[k, k] += damping * damped[k, k] + 1e-9
-        step = _solved(damped, last.right)
+        step = np.linalg.solve(damped, last.right)
         blur = min(max(guess.blur + step[8], _LEAST_BLUR), _MOST_BLUR)
         if blur != guess.blur + step[8]:
             held = last.right.copy()
             damped[8, 8], held[8] = _HELD, _HELD * (blur - guess.blur)
-            step = _solved(damped, held)
+            step = np.linalg.solve(damped, held)
         step *= min(1.0, cell / max(np.abs(step[:8]).max(), 1e-9))
         tried = _Guess(guess.quad + step[:8].copy().reshape(4, 2), blur, guess.light + step[9:])
         if not np.abs(tried.quad - quad).max() < _FAR * cell:  # also NaN
@@ -157,21 +157,6 @@ def _fitted(image: Image, quad: Array, cells: Array) -> tuple[_Guess, _Linearise
         ):
             break
     return guess, last
-
-
-@kernel(nogil=True, error_model="numpy")
-def _solved(matrix: Array, right: Array) -> Array:
-    """The solution of a positive definite system, by Cholesky's factors; NaN where it is none."""
-    n = len(right)
-    L, x = np.zeros((n, n)), right.copy()
-    for i in range(n):
-        for j in range(i + 1):
-            left = matrix[i, j] - (L[i, :j] * L[j, :j]).sum()
-            L[i, j] = math.sqrt(left) if i == j else left / L[j, j]
-        x[i] = (x[i] - (L[i, :i] * x[:i]).sum()) / L[i, i]
-    for i in range(n - 1, -1, -1):
-        x[i] = (x[i] - (L[i + 1 :, i] * x[i + 1 :]).sum()) / L[i, i]
-    return x
 
 
 @kernel(nogil=True, error_model="numpy")
@@ -247,7 +232,7 @@ def _differences(
     excess, pixels = np.zeros((count, count)), np.full((count, count), 1e-9)
     for i in range(1, window.shape[0] - 1):
         for j in range(1, window.shape[1] - 1):
-            X, Y = _mapped(back, corner[0] + j, corner[1] + i)
+            X, Y = mapped(back, corner[0] + j, corner[1] + i)
             if not max(abs(X), abs(Y)) <= seen:  # also NaN
                 continue
             gain, m = light[3] + light[4] * X + light[5] * Y, model[i, j]
@@ -316,18 +301,7 @@ def _views(quad: Array) -> tuple[Array, Array, Array]:
         tried = quad.copy()
         tried[k // 2, k % 2] += _STEP_PX
         by_corner[k] = (_homography(tried) - H).ravel() / _STEP_PX
-    back = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            a, b, c, d = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
-            back[i, j] = H[a, c] * H[b, d] - H[a, d] * H[b, c]
-    return H, back, by_corner
-
-
-@kernel(nogil=True, error_model="numpy")
-def _mapped(H: Array, x: float, y: float) -> tuple[float, float]:
-    w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-    return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
+    return H, np.asarray(np.linalg.inv(H), dtype=np.float64), by_corner
 
 
 @kernel(nogil=True, error_model="numpy")
@@ -342,7 +316,7 @@ def _pattern(back: Array, cells: Array, corner: tuple[int, int], shape: tuple[in
     for i in range(shape[0]):
         for j in range(shape[1]):
             u, v = corner[0] + j, corner[1] + i
-            X, Y = _mapped(back, u, v)
+            X, Y = mapped(back, u, v)
             if not max(abs(X), abs(Y)) * count < 0.5 * count + 2.0:
                 continue
             w = abs(back[2, 0] * u + back[2, 1] * v + back[2, 2]) / count
@@ -386,7 +360,7 @@ def grey_at(image: Image, quads: Array, places: Array) -> Array:
     for n in range(len(quads)):
         H = _homography(quads[n])
         for m in range(len(places)):
-            x, y = _mapped(H, places[m, 0], places[m, 1])
+            x, y = mapped(H, places[m, 0], places[m, 1])
             grey[n, m] = grey_between(
                 image, min(max(x, 0.0), image.shape[1] - 1.001), min(max(y, 0.0), image.shape[0] - 1.001)
             )
@@ -402,7 +376,7 @@ def _first_light(image: Image, quad: Array) -> Array:
         along = -0.4 + 0.8 * (k // 4) / 9.0
         for depth, inside in ((0.43, True), (0.57, False)):
             x, y = ((along, depth), (depth, along), (along, -depth), (-depth, along))[k % 4]
-            u, v = _mapped(H, x, y)
+            u, v = mapped(H, x, y)
             column, row = int(u + 0.5), int(v + 0.5)
             if 0 <= row < image.shape[0] and 0 <= column < image.shape[1]:
                 if inside:

@@ -78,15 +78,11 @@ def detect(
     part, begin = image[y0:y1, x0:x1], np.array([x0, y0])
     corners, refused, repeated = _read_markers(part, settings)
     if not (settings.sizes.keys() if requested is None else requested) <= corners.keys():
-        more, also_refused, also_repeated = _read_markers(_even_light(part), settings)
+        even_light = np.asarray(cv2.LUT(part, _LOGARITHMS), dtype=np.uint8)  # shade takes from all alike
+        more, also_refused, also_repeated = _read_markers(even_light, settings)
         corners, refused, repeated = more | corners, refused | also_refused, repeated | also_repeated
     single = {number: quad + begin for number, quad in corners.items() if number not in repeated}
     return Detected(single, refused, frozenset(repeated))
-
-
-def _even_light(image: Image) -> Image:
-    """The picture's logarithm, in which a shadow takes the same from black and white."""
-    return np.asarray(cv2.LUT(image, _LOGARITHMS), dtype=np.uint8)
 
 
 def _read_markers(image: Image, settings: MarkerSettings) -> tuple[dict[int, Array], Counter[str], set[int]]:

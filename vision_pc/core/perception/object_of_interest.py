@@ -104,9 +104,9 @@ def _object_start(
     if not parts:
         return None, parts
     surest = max(parts, key=lambda s: s.observation.flip_margin)
-    X_AO = se3.inverse(marker_in_object(surest.observation.marker_id, settings))
+    X_OA = marker_in_object(surest.observation.marker_id, settings)
+    X_AO = se3.inverse(X_OA)
     if len(parts) == 1:
-        X_OA = marker_in_object(surest.observation.marker_id, settings)
         X_CA = _decided(surest, None if previous is None else previous @ X_OA, refused)
         return (None if X_CA is None else X_CA @ X_AO), parts
     starts = [surest.observation.X_CA @ X_AO]
@@ -126,10 +126,10 @@ def _without_the_stranger(parts: list[Sighting], settings: MarkerSettings) -> li
     """
     if len(parts) == 2:
         return [min(parts, key=lambda s: float(np.trace(s.observation.covariance)))]
-    centres = []
-    for part in parts:
-        X_OA = marker_in_object(part.observation.marker_id, settings)
-        centres.append((part.observation.X_CA @ se3.inverse(X_OA))[:3, 3])
+    places = [marker_in_object(part.observation.marker_id, settings) for part in parts]
+    centres = [
+        (part.observation.X_CA @ se3.inverse(X_OA))[:3, 3] for part, X_OA in zip(parts, places, strict=True)
+    ]
     distances = np.linalg.norm(np.array(centres) - np.median(centres, axis=0), axis=1)
     stranger = int(np.argmax(distances))
     return [part for k, part in enumerate(parts) if k != stranger]
@@ -137,10 +137,10 @@ def _without_the_stranger(parts: list[Sighting], settings: MarkerSettings) -> li
 
 def _object_view(parts: list[Sighting], settings: MarkerSettings) -> BodyView:
     """All corners of ``parts`` as points of O."""
-    points = []
-    for part in parts:
-        X_OA = marker_in_object(part.observation.marker_id, settings)
-        points.append(se3.apply(X_OA, corner_points(part.observation.size)))
+    points = [
+        se3.apply(marker_in_object(seen.marker_id, settings), corner_points(seen.size))
+        for seen in (part.observation for part in parts)
+    ]
     return BodyView(
         np.concatenate(points),
         np.concatenate([part.view.rays for part in parts], axis=1),
