@@ -24,7 +24,8 @@ class Entry(NamedTuple):
     def load(self, method: str | None = None) -> "Experiment[Any]":
         """The experiment, by the usual method where none is named."""
         module, _, name = self.places[method or next(iter(self.places))].partition(":")
-        return getattr(import_module(f"{__package__}.{module}"), name)
+        experiment: Experiment[Any] = getattr(import_module(f"{__package__}.{module}"), name)
+        return experiment
 
 
 CATALOGUE = {

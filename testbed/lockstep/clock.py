@@ -109,7 +109,8 @@ def run(program: Coroutine[Any, Any, T]) -> T:
     try:
         program.send(None)
     except StopIteration as done:
-        return done.value
+        result: T = done.value
+        return result
     raise RuntimeError("a program in lockstep waited for something outside of simulated time")
 
 

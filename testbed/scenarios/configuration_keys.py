@@ -74,7 +74,8 @@ def allowed(schema: Schema, path: str) -> str:
 def _resolve(root: Schema, here: Schema) -> Schema:
     if "$ref" not in here:
         return here
-    return root["$defs"][here["$ref"].rpartition("/")[2]]
+    found: Schema = root["$defs"][here["$ref"].rpartition("/")[2]]
+    return found
 
 
 def _in_words(root: Schema, found: Schema) -> str:
