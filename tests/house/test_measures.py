@@ -13,18 +13,18 @@ from tests.house import measures
 # names what was asked for, and lowers another by as much. A patch may exceed it by PATCH; the next cut brings
 # the house below again (tests/packaging/test_contributions.py always adds one patch more).
 BUDGET = {
-    "lines of source": 81_862,
-    "statements of source": 40_712,
+    "lines of source": 81_593,
+    "statements of source": 40_404,
     "statements of ROS 2": 877,
-    "statements of conformance": 4_242,
-    "statements of laboratory": 1_758,
+    "statements of conformance": 4_061,
+    "statements of laboratory": 1_712,
     "statements of structured text": 2_579,
-    "statements of the product": 31_244,
-    "lines that the three services import": 49_684,
-    "lines of tests": 54_160,
+    "statements of the product": 31_154,
+    "lines that the three services import": 49_659,
+    "lines of tests": 53_704,
     # Asked for: headings name every angle's axis, a stop behind a request that waits. For it went 400 of
     # source.
-    "statements of tests": 29_124,
+    "statements of tests": 28_828,
     # Asked for: the console holds time and shows its pace. For it went the fold of the valves' trials by eye.
     "lines of structured text, JavaScript, CSS and HTML": 8_493,
     "modules": 591,

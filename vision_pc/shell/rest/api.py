@@ -160,8 +160,7 @@ def _add_state(
             why.append(f"{trouble.cause}: {trouble.detail}")
         if camera.trouble is not None:
             why.append(camera.trouble + (f": {camera.detail}" if camera.detail else ""))
-        status, detail = HTTPStatus.SERVICE_UNAVAILABLE, "; ".join(why)
-        return respond(problem(status, "link.degraded", detail, instance=request.url.path) | parts)
+        return respond(problem(503, "link.degraded", "; ".join(why), instance=request.url.path) | parts)
 
     @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
     async def state() -> JSON:
