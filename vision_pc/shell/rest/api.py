@@ -5,7 +5,6 @@ import json
 import time
 from collections.abc import Awaitable, Callable, Collection, Sequence
 from functools import partial
-from http import HTTPStatus
 from importlib.resources import files
 from typing import Any
 
