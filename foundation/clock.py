@@ -124,12 +124,11 @@ class PlantClock(asyncio.Protocol):
         self._order = itertools.count()
         self._holds = 0
         self._tick: ClockMessage | None = None
-        self._acting = self._held = self._ready = self._left = False
+        self._acting = self._held = self._ready = self._left = self.sent = False
         self._transport: asyncio.WriteTransport | None = None
         self._buffer = b""
         self._stands: ClockMessage | None = None
         self._newest_s = time.monotonic()
-        self.sent = False
         self._known, self._news = asyncio.Event(), asyncio.Event()
         self._joining: asyncio.Task[None] | None = None
 
@@ -251,8 +250,7 @@ class PlantClock(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.WriteTransport)
         self._transport, self._buffer = transport, b""
-        joining = ClockMessage(TickKind.JOIN, 0, self._now_ns, self._period_ns, 0, self._name)
-        transport.write(encode(joining))
+        transport.write(encode(ClockMessage(TickKind.JOIN, 0, self._now_ns, self._period_ns, 0, self._name)))
 
     def data_received(self, data: bytes) -> None:
         try:
@@ -263,10 +261,9 @@ class PlantClock(asyncio.Protocol):
             return
         for message in messages:
             self._newest_s = time.monotonic()
-            if message.kind is TickKind.STANDS:
-                self._stands = message
+            self._stands = message if message.kind is TickKind.STANDS else None
+            if self._stands is not None:
                 continue
-            self._stands = None
             if self._known.is_set():  # a plant that was started anew may count from an earlier time
                 self.offset_ns = max(self.offset_ns, self._now_ns - message.time_ns)
             if message.kind is TickKind.TICK:
